@@ -62,20 +62,17 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     A cell is flat if the points of each view are. Cells in which sensors do not agree remain surfaces: without
     them, poses with which sensors measure nothing in common would fit best.
     """
-    at = [_evaluate(part, k, state, select_inside(part, k, state)) for k, state in enumerate(states)]
-    world = np.concatenate([one.world for one in at])
-    sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
-    view = _number_views(part, np.concatenate([one.time for one in at]))
-    surfaces = fit_surfaces(world, view * len(at) + sensor, gate * THICKNESS_PER_GATE)
-    index = surfaces.find(world)
-    distance = np.einsum("ni,ni->n", world - surfaces.center[index], surfaces.normals[index])
+    used = [select_inside(part, k, state) for k, state in enumerate(states)]
+    at = _evaluate_all(part, states, used)
+    counts = [int(one.sum()) for one in used]
+    view = _number_views(part, at.time) * len(used) + np.repeat(np.arange(len(used)), counts)
+    surfaces = fit_surfaces(at.world, view, gate * THICKNESS_PER_GATE)
+    index = surfaces.find(at.world)
+    distance = np.einsum("ni,ni->n", at.world - surfaces.center[index], surfaces.normals[index])
     index[np.abs(distance) >= gate] = -1
-    found = np.split(index, np.cumsum([len(one.world) for one in at])[:-1])
-    cells = []
-    for k, (one, hit) in enumerate(zip(found, at, strict=True)):
-        cell = np.full(len(part.points[k].times), -1)
-        cell[hit.index] = one
-        cells.append(cell)
+    cells = [np.full(len(one), -1) for one in used]
+    for cell, inside, found in zip(cells, used, np.split(index, np.cumsum(counts)[:-1]), strict=True):
+        cell[inside] = found
     return Association(surfaces, cells)
 
 
@@ -100,46 +97,42 @@ def linearize_points(part: DrivePart, states: Sequence[SensorState], association
     """
     used = [select_inside(part, k, state) & (association.cell[k] >= 0) for k, state in enumerate(states)]
     cells = np.concatenate([cell[one] for cell, one in zip(association.cell, used, strict=True)])
-    sensor = np.repeat(np.arange(len(used)), [int(one.sum()) for one in used])
+    counts = [int(one.sum()) for one in used]
     center, axes = association.surfaces.center[cells], association.surfaces.axes[cells]
     normals = axes[:, :, 0]
-    measured = _evaluate_all(part, states, used, np.zeros(len(cells)))
-    residual = np.einsum("ni,ni->n", normals, measured["world"] - center)
-    bias = measured["by_sensor"].shape[2] - BESIDE_POSE + 1
-    slant = -np.einsum("ni,ni->n", normals, measured["by_sensor"][:, :, bias])
+    measured = _evaluate_all(part, states, used)
+    residual = np.einsum("ni,ni->n", normals, measured.world - center)
+    slant = -np.einsum("ni,ni->n", normals, measured.by_sensor[:, :, 1 - BESIDE_POSE])
     incidence = np.abs(slant)
     beyond = -residual / np.copysign(np.maximum(incidence, _MIN_INCIDENCE), slant)
-    at = _evaluate_all(part, states, used, beyond)
-    place = np.einsum("ni,nij->nj", at["world"] - center, axes[:, :, 1:])
-    patch = np.column_stack([np.ones(len(cells)), place / association.surfaces.extent[cells], incidence])
-    turn = np.einsum(
-        "ni,nij,njk->nk", normals, se_n.rotation_jacobian(at["position_arm"]), at["rotation_jacobian"]
-    )
+    at = _evaluate_all(part, states, used, np.split(beyond, np.cumsum(counts)[:-1]))
+    place = np.einsum("ni,nij->nj", at.world - center, axes[:, :, 1:])
+    by_turn = se_n.rotation_jacobian(at.position_arm)
+    turn = np.einsum("ni,nij,njk->nk", normals, by_turn, at.rotation_jacobian)
     by_pose = np.concatenate([normals, turn], axis=1)
-    by_control = (at["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1])
-    by_sensor = np.einsum("ni,nij->nj", normals, at["by_sensor"])
     return SurfacePoints(
-        sensor,
+        np.repeat(np.arange(len(used)), counts),
         cells,
-        at["time"],
-        _number_views(part, at["time"]),
+        at.time,
+        _number_views(part, at.time),
         residual,
-        patch,
-        at["first"],
-        by_control,
-        by_sensor,
+        np.column_stack([np.ones(len(cells)), place / association.surfaces.extent[cells], incidence]),
+        at.first,
+        (at.basis[:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1]),
+        np.einsum("ni,nij->nj", normals, at.by_sensor),
     )
 
 
 def _evaluate_all(
-    part: DrivePart, states: Sequence[SensorState], used: Sequence[NDArray[np.bool_]], beyond: Array
-) -> dict[str, Array]:
-    """What :func:`_evaluate` finds of points of all sensors, joined by name."""
-    edges = np.cumsum([int(one.sum()) for one in used])[:-1]
-    at = [
-        _evaluate(part, k, *one) for k, one in enumerate(zip(states, used, np.split(beyond, edges), strict=True))
-    ]
-    return {field.name: np.concatenate([getattr(one, field.name) for one in at]) for field in fields(_Evaluated)}
+    part: DrivePart,
+    states: Sequence[SensorState],
+    used: Sequence[NDArray[np.bool_]],
+    beyond: Sequence[Array | float] = (),
+) -> "_Evaluated":
+    """:func:`_evaluate` of all sensors, joined."""
+    each = zip(states, used, beyond or [0.0] * len(states), strict=True)
+    at = [_evaluate(part, k, *one) for k, one in enumerate(each)]
+    return _Evaluated(*(np.concatenate([getattr(one, field.name) for one in at]) for field in fields(_Evaluated)))
 
 
 def _number_views(part: DrivePart, times: Array) -> Index:
@@ -157,8 +150,6 @@ def select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.boo
 class _Evaluated:
     """Points of one sensor in the world, with derivatives."""
 
-    index: Index
-    """(N,) of the points among those of the sensor."""
     world: Array
     """(N, n) m."""
     time: Array
@@ -207,12 +198,5 @@ def _evaluate(
         axis=2,
     )
     return _Evaluated(
-        np.flatnonzero(used),
-        arm + se_n.translation(at.poses),
-        times,
-        at.first,
-        at.basis,
-        arm,
-        at.rotation_jacobian,
-        by_sensor,
+        arm + se_n.translation(at.poses), times, at.first, at.basis, arm, at.rotation_jacobian, by_sensor
     )
