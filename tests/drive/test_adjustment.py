@@ -143,9 +143,9 @@ def disturbed(n: int, seed: int = 0) -> tuple[DrivePart, list[SensorState]]:
     return replace(part, points=points), states
 
 
-def evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
-    """All points of a sensor that were measured during the trajectory."""
-    return _evaluate(part, k, state, select_inside(part, k, state))
+def evaluate(part: DrivePart, k: int, state: SensorState, beyond: Array | float = 0.0) -> _Evaluated:
+    """All points of a sensor that were measured during the trajectory, moved along their beams."""
+    return _evaluate(part, k, state, select_inside(part, k, state), beyond)
 
 
 class FixedSurfaces:
@@ -155,18 +155,26 @@ class FixedSurfaces:
         self.part, self.states = part, states
         association = associate_points(part, states, 0.3)
         self.at, surfaces = linearize_points(part, states, association), association.surfaces
-        world = np.concatenate([evaluate(part, k, state).world for k, state in enumerate(states)])
+        world, ahead = (
+            np.concatenate([evaluate(part, k, state, beyond).world for k, state in enumerate(states)])
+            for beyond in (0.0, 1.0)
+        )
         index = surfaces.find(world)
-        offset = np.einsum("ij,ij->i", world - surfaces.center[index], surfaces.normals[index])
+        self.normals, self.center = surfaces.normals[index], surfaces.center[index]
+        offset = np.einsum("ij,ij->i", world - self.center, self.normals)
         self.used = (index >= 0) & (np.abs(offset) < 0.3)
-        cells = index[self.used]
-        self.normals, self.center = surfaces.normals[cells], surfaces.center[cells]
+        beams = (ahead - world) / np.linalg.norm(ahead - world, axis=1, keepdims=True)
+        self.slant = np.einsum("ij,ij->i", beams, self.normals)
+        self.beyond = -offset / np.copysign(np.maximum(np.abs(self.slant), 0.05), self.slant)
+        """(N,) m from the points, along their beams, to surfaces."""
 
-    def residual(self, trajectory: SplineTrajectory, states: list[SensorState]) -> Array:
+    def residual(self, trajectory: SplineTrajectory, states: list[SensorState], share: float = 1.0) -> Array:
+        """Where beams meet surfaces, or at a share of the way from the points to there."""
         part = replace(self.part, trajectory=trajectory)
-        world = np.concatenate([evaluate(part, k, state).world for k, state in enumerate(states)])
-        scale = np.array([state.range_scale for state in states])[self.at.sensor]
-        return np.asarray(np.einsum("ij,ij->i", world[self.used] - self.center, self.normals) * (1 + scale))
+        counts = [len(evaluate(part, k, state).time) for k, state in enumerate(states)]
+        beyond = np.split(share * self.beyond, np.cumsum(counts)[:-1])
+        world = np.concatenate([evaluate(part, k, state, beyond[k]).world for k, state in enumerate(states)])
+        return np.asarray(np.einsum("ij,ij->i", world - self.center, self.normals)[self.used])
 
 
 @pytest.fixture(scope="module", params=[2, 3])
@@ -176,7 +184,15 @@ def fixed(request: pytest.FixtureRequest) -> FixedSurfaces:
 
 def test_residuals_are_distances_from_surfaces(fixed: FixedSurfaces) -> None:
     assert len(fixed.at.residual) > 300
-    assert_allclose(fixed.at.residual, fixed.residual(fixed.part.trajectory, fixed.states), atol=1e-12)
+    assert_allclose(fixed.at.residual, fixed.residual(fixed.part.trajectory, fixed.states, 0.0), atol=1e-12)
+
+
+def test_derivatives_are_those_of_the_places_where_beams_meet_surfaces(fixed: FixedSurfaces) -> None:
+    """But for the scale of ranges; beams along a surface meet it nowhere."""
+    left = fixed.residual(fixed.part.trajectory, fixed.states)
+    meets = np.abs(fixed.slant[fixed.used]) > 0.05
+    assert meets.mean() > 0.9
+    assert np.all(np.abs(left[meets]) <= 0.03 * np.abs(fixed.at.residual[meets]))
 
 
 def test_derivatives_by_control_points_are_those_of_the_residuals(fixed: FixedSurfaces) -> None:

@@ -1,7 +1,7 @@
 """Points of a drive on flat patches of its surroundings: residuals with their derivatives."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ THICKNESS_PER_GATE = 1 / 3
 # Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell. On 15 minutes of
 # real scans of an office, 0.5 to 4 s give median errors of 7.4 to 8.9 mm, 0.2 s 10.3, and one view in all 9.9.
 _VIEW_DURATION = 1.0
+# Least cosine of incidence by which it is found where a beam meets a surface: it is metres away at less.
+_MIN_INCIDENCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +62,17 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     A cell is flat if the points of each view are. Cells in which sensors do not agree remain surfaces: without
     them, poses with which sensors measure nothing in common would fit best.
     """
-    at = [_evaluate(part, k, state, select_inside(part, k, state)) for k, state in enumerate(states)]
-    world = np.concatenate([one.world for one in at])
-    sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
-    view = _number_views(part, np.concatenate([one.time for one in at]))
-    surfaces = fit_surfaces(world, view * len(at) + sensor, gate * THICKNESS_PER_GATE)
-    index = surfaces.find(world)
-    distance = np.einsum("ni,ni->n", world - surfaces.center[index], surfaces.normals[index])
+    used = [select_inside(part, k, state) for k, state in enumerate(states)]
+    at = _evaluate_all(part, states, used)
+    counts = [int(one.sum()) for one in used]
+    view = _number_views(part, at.time) * len(used) + np.repeat(np.arange(len(used)), counts)
+    surfaces = fit_surfaces(at.world, view, gate * THICKNESS_PER_GATE)
+    index = surfaces.find(at.world)
+    distance = np.einsum("ni,ni->n", at.world - surfaces.center[index], surfaces.normals[index])
     index[np.abs(distance) >= gate] = -1
-    found = np.split(index, np.cumsum([len(one.world) for one in at])[:-1])
-    cells = []
-    for k, (one, hit) in enumerate(zip(found, at, strict=True)):
-        cell = np.full(len(part.points[k].times), -1)
-        cell[hit.index] = one
-        cells.append(cell)
+    cells = [np.full(len(one), -1) for one in used]
+    for cell, inside, found in zip(cells, used, np.split(index, np.cumsum(counts)[:-1]), strict=True):
+        cell[inside] = found
     return Association(surfaces, cells)
 
 
@@ -90,45 +89,50 @@ def locate_points(part: DrivePart, k: int, state: SensorState) -> tuple[Array, I
 
 
 def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:
-    """The residuals of the points of a part that are on surfaces."""
-    at = [
-        _evaluate(part, k, state, select_inside(part, k, state) & (association.cell[k] >= 0))
-        for k, state in enumerate(states)
-    ]
-    sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
-    cells = np.concatenate([cell[one.index] for cell, one in zip(association.cell, at, strict=True)])
-    joined = {
-        name: np.concatenate([getattr(one, name) for one in at])
-        for name in ("world", "time", "first", "basis", "position_arm", "rotation_jacobian", "by_sensor")
-    }
-    surfaces = association.surfaces
-    axes = surfaces.axes[cells]
-    local = np.einsum("ni,nij->nj", joined["world"] - surfaces.center[cells], axes)
+    """The residuals of the points of a part that are on surfaces.
+
+    Derivatives are those of the places where beams meet surfaces: the noise of a range moves a point away from
+    its surface and, at oblique incidence, along it. At measured places both belong together, so that floors seem
+    to fall away from the sensor, as ranges that are too long make them.
+    """
+    used = [select_inside(part, k, state) & (association.cell[k] >= 0) for k, state in enumerate(states)]
+    cells = np.concatenate([cell[one] for cell, one in zip(association.cell, used, strict=True)])
+    counts = [int(one.sum()) for one in used]
+    center, axes = association.surfaces.center[cells], association.surfaces.axes[cells]
     normals = axes[:, :, 0]
-    bias = joined["by_sensor"].shape[2] - BESIDE_POSE + 1
-    incidence = np.abs(np.einsum("ni,ni->n", normals, joined["by_sensor"][:, :, bias]))
-    patch = np.column_stack([np.ones(len(cells)), local[:, 1:] / surfaces.extent[cells], incidence])
-    turn = np.einsum(
-        "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
-    )
-    # Noise is of the ranges as measured: residuals of ranges that are taken as smaller do not get smaller.
-    scale = 1 + np.array([state.range_scale for state in states])[sensor]
-    residual = local[:, 0] * scale
-    by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
-    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1])
-    by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
-    by_sensor[:, bias + 1] += local[:, 0]
+    measured = _evaluate_all(part, states, used)
+    residual = np.einsum("ni,ni->n", normals, measured.world - center)
+    slant = -np.einsum("ni,ni->n", normals, measured.by_sensor[:, :, 1 - BESIDE_POSE])
+    incidence = np.abs(slant)
+    beyond = -residual / np.copysign(np.maximum(incidence, _MIN_INCIDENCE), slant)
+    at = _evaluate_all(part, states, used, np.split(beyond, np.cumsum(counts)[:-1]))
+    place = np.einsum("ni,nij->nj", at.world - center, axes[:, :, 1:])
+    by_turn = se_n.rotation_jacobian(at.position_arm)
+    turn = np.einsum("ni,nij,njk->nk", normals, by_turn, at.rotation_jacobian)
+    by_pose = np.concatenate([normals, turn], axis=1)
     return SurfacePoints(
-        sensor,
+        np.repeat(np.arange(len(used)), counts),
         cells,
-        joined["time"],
-        _number_views(part, joined["time"]),
+        at.time,
+        _number_views(part, at.time),
         residual,
-        patch,
-        joined["first"],
-        by_control,
-        by_sensor,
+        np.column_stack([np.ones(len(cells)), place / association.surfaces.extent[cells], incidence]),
+        at.first,
+        (at.basis[:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1]),
+        np.einsum("ni,nij->nj", normals, at.by_sensor),
     )
+
+
+def _evaluate_all(
+    part: DrivePart,
+    states: Sequence[SensorState],
+    used: Sequence[NDArray[np.bool_]],
+    beyond: Sequence[Array | float] = (),
+) -> "_Evaluated":
+    """:func:`_evaluate` of all sensors, joined."""
+    each = zip(states, used, beyond or [0.0] * len(states), strict=True)
+    at = [_evaluate(part, k, *one) for k, one in enumerate(each)]
+    return _Evaluated(*(np.concatenate([getattr(one, field.name) for one in at]) for field in fields(_Evaluated)))
 
 
 def _number_views(part: DrivePart, times: Array) -> Index:
@@ -146,8 +150,6 @@ def select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.boo
 class _Evaluated:
     """Points of one sensor in the world, with derivatives."""
 
-    index: Index
-    """(N,) of the points among those of the sensor."""
     world: Array
     """(N, n) m."""
     time: Array
@@ -164,12 +166,15 @@ class _Evaluated:
     """(N, n, n + d + 6) of the place in the world."""
 
 
-def _evaluate(part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool_]) -> _Evaluated:
-    """Some of the points of sensor k (N,), all within the trajectory."""
+def _evaluate(
+    part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool_], beyond: Array | float = 0.0
+) -> _Evaluated:
+    """Some points of sensor k (N,), all within the trajectory, moved along their beams by lengths (N,), m."""
     measured, trajectory = part.points[k], part.trajectory
     p, times = measured.points[used], state.date(measured)[used]
     ranges = measure_lengths(p) if p.shape[1] == 3 else np.hypot(*p.T)
     direction = p / ranges[:, None]
+    ranges = ranges + beyond
     p = direction * (ranges * (1 - state.range_scale) - state.range_bias)[:, None]
     at = trajectory.at(times)
     T = state.T_root_sensor
@@ -193,12 +198,5 @@ def _evaluate(part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool
         axis=2,
     )
     return _Evaluated(
-        np.flatnonzero(used),
-        arm + se_n.translation(at.poses),
-        times,
-        at.first,
-        at.basis,
-        arm,
-        at.rotation_jacobian,
-        by_sensor,
+        arm + se_n.translation(at.poses), times, at.first, at.basis, arm, at.rotation_jacobian, by_sensor
     )
