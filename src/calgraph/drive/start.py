@@ -206,7 +206,7 @@ def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free")
     """Why a start is not to be relied on, and what to drive instead; empty if it is."""
     if start.turn_change < _MIN_TURN and not start.by_boards:
         return (
-            f"the robot turned alike all the time (± {np.degrees(start.turn_change):.1f}° in "
+            f"the robot turned at a constant rate (± {np.degrees(start.turn_change):.1f}° in "
             f"{MOTION_DURATION:g} s): drive curves to both sides, without which nothing determines where {name} is"
         )
     if start.correlation < _MIN_CORRELATION and not start.by_boards:
