@@ -94,7 +94,7 @@ def _select(
     if total <= count:
         return sweep
     world = _to_world(sweep, pose, velocity)
-    index = surfaces.find_near(world, surfaces.cell)
+    index = surfaces.find(world)
     hit = index >= 0
     J = _jacobian(world[hit], pose, surfaces.normals[index[hit]])
     share = np.full(total, _RANDOM_SHARE / total)
