@@ -2,8 +2,8 @@
 
 Source: Vizzo et al., "KISS-ICP: in defense of point-to-point ICP", 2023, for the prediction by constant velocity,
 the adaptive gate and the correction of motion within sweeps; Yuan et al., "Efficient and probabilistic adaptive
-voxel mapping for accurate online LiDAR odometry", 2022, for planes in voxels and their uncertainty; Gelfand et al.,
-"Geometrically stable sampling for the ICP algorithm", 2003, for the choice of points that determine the motion.
+voxel mapping for accurate online LiDAR odometry", 2022, for planes in voxels and their uncertainty; Gelfand et
+al., "Geometrically stable sampling for the ICP algorithm", 2003, for points that determine the motion.
 """
 
 from collections import deque
@@ -31,10 +31,10 @@ _LIMITS = {2: CellLimits(0.3, 4, 0.05), 3: CellLimits(1.0, 6, 0.05)}
 _MAX_THICKNESS = 0.1
 # A new key sweep is taken after this motion, m and rad, and this many of the last ones are the map.
 _KEY_DISTANCE, _KEY_ANGLE, _KEY_TIME, _KEY_SWEEPS = 0.3, 0.17, 0.5, 50
-# Standard deviation of points of LiDARs in space, m, that neighbours on a surface have in common, besides twice the
-# thickness of its cell and what its normal leaves open.
+# Standard deviation of points of LiDARs in space, m, that neighbours on a surface have in common, besides twice
+# the thickness of its cell and what its normal leaves open; 0.05 m is worse where few points determine the motion.
 _NOISE = 0.03
-# Of the points, those that are drawn whatever they determine: surfaces that are not yet in the map are met by them.
+# Share of chance in the choice of points: surfaces that are not yet in the map determine nothing.
 _RANDOM_SHARE = 0.3
 # Gauss–Newton ends where a step is below a tenth of a millimetre.
 _LEAST_STEP = 1e-4
@@ -133,7 +133,7 @@ def _to_world(sweep: Sweep, pose: Array, velocity: Array) -> Array:
 def _register(
     sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells
 ) -> tuple[Array, Array, Array]:
-    """The pose of a sweep, the velocity that leads to it from the one before, and the information of the points."""
+    """The pose of a sweep, the velocity that leads to it from that before, and the information of its points."""
     starts = [(predicted, _ROBUST_SCALES)]
     if predicted.shape[-1] == 3:
         starts.append((_search(sweep, before, predicted, duration, surfaces), _FINAL_SCALES))

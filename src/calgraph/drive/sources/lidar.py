@@ -24,8 +24,9 @@ from calgraph.sensors.kinds.stated import RangeUncertainty
 _KEPT_POINTS, _TRACKED_POINTS, _ADJUSTED_POINTS = 4000, 600, 150
 # Sweeps below which there is no motion to compare: three relative motions of 1.5 s at 10 Hz.
 _MIN_SWEEPS = 50
-# Largest standard deviation that a sweep of a LiDAR in space leaves its position, m, for its odometry to count, and
-# the least share of such sweeps: of 49 simulated sensors, eight with less all failed, those with more had 0.69.
+# Largest standard deviation that the points of a sweep in space leave its position, m, for odometry to count, and
+# the least share of such sweeps: of 49 simulated sensors, eight have less, and at most half of the motions of each
+# are right; all others have 0.69 and more.
 _MAX_STDDEV, _MIN_DETERMINED = 0.05, 0.5
 # Of the sweep and of the delay of odd beams, in periods: beams are measured within one, in either direction. Of
 # the share of stamps' irregularity that is real: none is, of an operating system's, or all, of a trigger's.
@@ -80,8 +81,8 @@ class LidarSource(Source):
         determined = float(np.mean(track.stddev < _MAX_STDDEV))
         if self.dimension == 3 and determined < _MIN_DETERMINED:
             return Rejected(
-                f"the surfaces it measured show its motion in {determined:.0%} of its sweeps only: they are floor, or "
-                "walls of one direction; raise or tilt it, or drive where walls and furniture are near"
+                f"the surfaces it measured show its motion in {determined:.0%} of its sweeps only: they are "
+                "floor, or walls of one direction; raise or tilt it, or drive where walls and furniture are near"
             )
         return Segments((track,))
 
