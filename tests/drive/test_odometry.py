@@ -8,8 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.drive.odometry import track_sensor
+from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.sweeps import Sweep
-from calgraph.geometry import Array, se_n
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se_n, so3
 from calgraph.surfaces.trajectory import Track
 from drive_scenes import beams_in_plane, beams_in_space, drive, scan
 
@@ -56,6 +58,31 @@ def test_a_lidar_in_space_is_tracked_through_a_room() -> None:
     T = drive(track.times, 3)
     across = track.poses[:, :2, 3] - (se_n.inverse(T[0]) @ T)[:, :2, 3]
     assert np.abs(across).max() < 0.03
+
+
+def floor_sweeps(sector: float, pitch: float) -> tuple[Array, list[Sweep]]:
+    """The pose of a LiDAR that looks down, angles in degrees, and its sweeps of 15 s."""
+    directions, times = beams_in_space(16, 0.8)
+    seen = np.abs(np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))) < sector / 2
+    T = se_n.pose(so3.exp(np.array([0.0, np.radians(pitch), 0.0])), np.array([0.3, 0.0, 0.0]))
+    beams = directions[seen], times[seen]
+    return T, scan(beams, T, 15.0, NOISE, np.random.default_rng(0))
+
+
+def test_a_lidar_that_measures_floor_at_four_of_five_points_is_tracked() -> None:
+    """Of points at random, few are of walls, and a scale of 0.1 m for all of them leaves it to the prediction."""
+    T, sweeps = floor_sweeps(130, 30)
+    track = track_sensor(sweeps, 300, np.random.default_rng(0))
+    distance, _ = errors(track, T)
+    assert distance.max() < 0.1
+    assert (track.stddev < 0.05).mean() > 0.95
+
+
+def test_a_lidar_that_measures_floor_only_has_no_odometry() -> None:
+    _, sweeps = floor_sweeps(60, 45)
+    track = LidarSource(sweeps, 3, False).track(np.random.default_rng(0))
+    assert isinstance(track, Rejected)
+    assert "show its motion in" in track.reason
 
 
 def test_a_drive_that_begins_in_motion_is_tracked() -> None:

@@ -2,16 +2,18 @@
 
 Source: Vizzo et al., "KISS-ICP: in defense of point-to-point ICP", 2023, for the prediction by constant velocity,
 the adaptive gate and the correction of motion within sweeps; Yuan et al., "Efficient and probabilistic adaptive
-voxel mapping for accurate online LiDAR odometry", 2022, for planes in voxels.
+voxel mapping for accurate online LiDAR odometry", 2022, for planes in voxels and their uncertainty; Gelfand et
+al., "Geometrically stable sampling for the ICP algorithm", 2003, for points that determine the motion.
 """
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.drive.sweeps import Sweep, thin_sweep
-from calgraph.geometry import Array, se_n
+from calgraph.drive.sweeps import Sweep
+from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.flat_cells import (
     CellLimits,
     CellMoments,
@@ -29,6 +31,11 @@ _LIMITS = {2: CellLimits(0.3, 4, 0.05), 3: CellLimits(1.0, 6, 0.05)}
 _MAX_THICKNESS = 0.1
 # A new key sweep is taken after this motion, m and rad, and this many of the last ones are the map.
 _KEY_DISTANCE, _KEY_ANGLE, _KEY_TIME, _KEY_SWEEPS = 0.3, 0.17, 0.5, 50
+# Standard deviation of points of LiDARs in space, m, that neighbours on a surface have in common, besides twice
+# the thickness of its cell and what its normal leaves open; 0.05 m is worse where few points determine the motion.
+_NOISE = 0.03
+# Share of chance in the choice of points: surfaces that are not yet in the map determine nothing.
+_RANDOM_SHARE = 0.3
 # Gauss–Newton ends where a step is below a tenth of a millimetre.
 _LEAST_STEP = 1e-4
 # Accelerations of wheeled robots and cars, m/s² and rad/s²: the prior of a motion is the last one.
@@ -42,12 +49,20 @@ _FINAL_SCALES = (0.2, 0.14, *[0.1] * 8)
 _SEARCHED_TURNS, _SEARCHED_DISTANCES, _SEARCHED_POINTS = np.linspace(-0.3, 0.3, 13), (-0.15, 0.0, 0.15), 90
 
 
-def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator) -> Track:
+@dataclass(frozen=True, eq=False)
+class OdometryTrack(Track):
+    """A trajectory by odometry."""
+
+    stddev: Array
+    """(N,) that the points of each sweep alone leave the position along its least certain direction, m."""
+
+
+def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator) -> OdometryTrack:
     """The trajectory of a sensor at the times of its sweeps, in a world that begins in its first pose.
 
     Args:
         sweeps: in order of time.
-        points: of each sweep that are registered, drawn at random.
+        points: of each sweep that are registered, drawn at random, those more often that determine the motion.
         rng: for them.
     """
     n = sweeps[0].points.shape[1]
@@ -55,18 +70,51 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
     poses = [np.eye(n + 1)]
     key_moments: deque[CellMoments] = deque(maxlen=_KEY_SWEEPS)
     velocity = np.zeros(n + (n - 1) * n // 2)
-    surfaces, last_key = None, None
+    stddev, surfaces, last_key = [0.0], None, None
     for k, sweep in enumerate(sweeps):
         if surfaces is not None:
             duration = sweep.time - sweeps[k - 1].time
             predicted = poses[-1] @ _motion(velocity, duration)
-            pose, velocity = _register(thin_sweep(sweep, points, rng), poses[-1], predicted, duration, surfaces)
+            some = _select(sweep, points, predicted, velocity, surfaces, rng)
+            pose, velocity, information = _register(some, poses[-1], predicted, duration, surfaces)
             poses.append(pose)
+            stddev.append(_measure_stddev(information, n))
         if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:
             last_key = sweep.time, poses[-1]
             key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
             surfaces = fit_flat_cells(merge_moments(key_moments), limits, _MAX_THICKNESS)
-    return Track(np.array([sweep.time for sweep in sweeps]), np.array(poses))
+    return OdometryTrack(np.array([sweep.time for sweep in sweeps]), np.array(poses), np.array(stddev))
+
+
+def _select(
+    sweep: Sweep, count: int, pose: Array, velocity: Array, surfaces: FlatCells, rng: np.random.Generator
+) -> Sweep:
+    """At most ``count`` points, drawn by how much each determines: a sensor may measure floor at nine of ten."""
+    total = len(sweep.points)
+    if total <= count:
+        return sweep
+    world = _to_world(sweep, pose, velocity)
+    index = surfaces.find(world)
+    hit = index >= 0
+    J = _jacobian(world[hit], pose, surfaces.normals[index[hit]])
+    share = np.full(total, _RANDOM_SHARE / total)
+    leverage = np.einsum("ij,jk,ik->i", J, np.linalg.inv(J.T @ J + 1e-3 * np.eye(J.shape[1])), J)
+    share[hit] += (1 - _RANDOM_SHARE) * leverage / max(float(leverage.sum()), 1e-9)
+    # The largest of Gumbel variables with these offsets are a sample without replacement.
+    order = np.argpartition(-np.log(share) - rng.gumbel(size=total), count)
+    return sweep.select(np.sort(order[:count]))
+
+
+def _jacobian(world: Array, pose: Array, normals: Array) -> Array:
+    """(N, n + d) derivatives of the distances of points (N, n) from surfaces by the pose."""
+    arm = world - se_n.translation(pose)
+    return np.concatenate([normals, np.einsum("ni,nij->nj", normals, se_n.rotation_jacobian(arm))], axis=1)
+
+
+def _measure_stddev(information: Array, n: int) -> float:
+    """:attr:`OdometryTrack.stddev` of the information (n + d, n + d) of points; at most 10 m."""
+    covariance = np.linalg.inv(information + np.diag(np.repeat([1e-2, 1.0], [n, len(information) - n])))
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:n, :n])[-1]))
 
 
 def _motion(velocity: Array, durations: Array | float) -> Array:
@@ -84,15 +132,15 @@ def _to_world(sweep: Sweep, pose: Array, velocity: Array) -> Array:
 
 def _register(
     sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells
-) -> tuple[Array, Array]:
-    """The pose of a sweep and the velocity that leads to it, from that of the one before and its prediction."""
+) -> tuple[Array, Array, Array]:
+    """The pose of a sweep, the velocity that leads to it from that before, and the information of its points."""
     starts = [(predicted, _ROBUST_SCALES)]
     if predicted.shape[-1] == 3:
         starts.append((_search(sweep, before, predicted, duration, surfaces), _FINAL_SCALES))
     solutions = [
         _minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts
     ]
-    return min(solutions, key=lambda one: one[2])[:2]
+    return min(solutions, key=lambda one: one[3])[:3]
 
 
 def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells) -> Array:
@@ -127,8 +175,8 @@ def _minimize(
     duration: float,
     surfaces: FlatCells,
     scales: Sequence[float],
-) -> tuple[Array, Array, float]:
-    """The pose of a sweep, the velocity that leads to it, and the cost; by Gauss–Newton from ``pose``."""
+) -> tuple[Array, Array, Array, float]:
+    """The pose of a sweep by Gauss–Newton from ``pose``; velocity, information of the points, and cost."""
     n = predicted.shape[-1] - 1
     d = n * (n - 1) // 2
     stddev = np.repeat([0.5 * _ACCELERATION * duration**2, 0.5 * _TURN_ACCELERATION * duration**2], [n, d])
@@ -139,10 +187,11 @@ def _minimize(
         x, cells = world[hit], index[hit]
         normals = surfaces.normals[cells]
         r = np.einsum("ij,ij->i", normals, x - surfaces.center[cells])
-        weights = (scale * (1 + (r / scale) ** 2)) ** -2
-        arm = x - se_n.translation(pose)
-        J = np.concatenate([normals, np.einsum("ni,nij->nj", normals, se_n.rotation_jacobian(arm))], axis=1)
-        H = (J * weights[:, None]).T @ J + np.diag(stddev**-2)
+        variance = np.square(scale) if n == 2 else _variance(x, cells, surfaces)
+        weights = (1 + (r / scale) ** 2) ** -2 / variance
+        J = _jacobian(x, pose, normals)
+        information = (J * weights[:, None]).T @ J
+        H = information + np.diag(stddev**-2)
         g = J.T @ (weights * r) + se_n.difference(pose, predicted) / stddev**2
         step = -np.linalg.solve(H, g)
         pose = se_n.retract(pose, step)
@@ -151,7 +200,14 @@ def _minimize(
     velocity = _velocity(before, pose, duration)
     cost = _robust_cost(_to_world(sweep, pose, velocity), surfaces, scales[-1]).sum()
     cost += 0.5 * np.sum((se_n.difference(pose, predicted) / stddev) ** 2)
-    return pose, velocity, float(cost)
+    return pose, velocity, information, float(cost)
+
+
+def _variance(points: Array, cells: Index, surfaces: FlatCells) -> Array:
+    """(N,) squared errors of the distances of points (N, 3) from the planes of cells, which are uncertain."""
+    along = np.einsum("nij,ni->nj", surfaces.axes[cells, :, 1:], points - surfaces.center[cells])
+    lever = np.sum((along / surfaces.extent[cells]) ** 2, axis=1)
+    return np.asarray(_NOISE**2 + surfaces.thickness[cells] ** 2 * (4 + lever))
 
 
 def _velocity(before: Array, pose: Array, duration: float) -> Array:
