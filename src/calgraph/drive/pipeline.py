@@ -100,7 +100,9 @@ def calibrate_sources(
 def _select_lead(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
     """The sensor for which poses and trajectory are solved: a LiDAR, whose surfaces need its trajectory only."""
     kinds = {
-        name: SOURCES[rig.sensors[name].kind] for name, track in tracks.items() if isinstance(track, Segments)
+        name: SOURCES[rig.sensors[name].kind]
+        for name, track in tracks.items()
+        if isinstance(track, Segments) and (dimension_of(rig) == 2 or rig.sensors[name].kind != "lidar2d")
     }
     lidars = [name for name, kind in kinds.items() if kind.has_surfaces]
     candidates = lidars or [name for name, kind in kinds.items() if kind.has_place]
