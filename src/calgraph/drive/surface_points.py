@@ -65,7 +65,8 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
     view = _number_views(part, np.concatenate([one.time for one in at]))
     limits = CELL_LIMITS[world.shape[1]]
-    moments = sum_moments_within(world, view * len(at) + sensor, limits.cell)
+    maps = ~np.array([one.flat for one in part.points])[sensor]
+    moments = sum_moments_within(world[maps], (view * len(at) + sensor)[maps], limits.cell)
     surfaces = fit_flat_cells(moments, limits, gate * _THICKNESS_PER_GATE)
     index = surfaces.find(world)
     distance = np.einsum("ni,ni->n", world - surfaces.center[index], surfaces.normals[index])

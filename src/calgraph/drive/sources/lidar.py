@@ -91,6 +91,7 @@ class LidarSource(Source):
             np.concatenate([one.points for one in near]),
             np.concatenate([one.times for one in near]),
             np.concatenate([one.timing for one in near]),
+            self.flat_in_space,
         )
 
 
