@@ -38,7 +38,6 @@ def add_heights(
         and isinstance(root, LidarSource)
         and isinstance(source := sources[name], LidarSource)
         and not source.flat_in_space
-        and not source.flat_in_space
         else start
         for name, start in starts.items()
     }

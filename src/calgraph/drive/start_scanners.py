@@ -47,15 +47,14 @@ def place_scanners(
     placed = dict(starts)
     for name, start in starts.items():
         scanner = sources[name]
-        if (
-            isinstance(start, MotionStart)
-            and start.axis is not None
-            and isinstance(scanner, LidarSource)
-            and scanner.flat_in_space
-            and isinstance(root, LidarSource)
-            and isinstance(along, Segments)
-        ):
+        if isinstance(start, Rejected) or not (isinstance(scanner, LidarSource) and scanner.flat_in_space):
+            continue
+        if isinstance(root, LidarSource) and isinstance(along, Segments) and start.axis is not None:
             placed[name] = _place(start, start.axis, scanner, root, along.tracks[0], rng)
+        else:
+            placed[name] = Rejected(
+                f"no 3-D LiDAR shows where the scan plane of {name} is: add one, or calibrate 2-D scanners alone"
+            )
     return placed
 
 
