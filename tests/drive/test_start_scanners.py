@@ -64,6 +64,14 @@ def test_height_and_tilt_are_those_at_which_points_are_on_the_map() -> None:
     assert np.degrees(np.abs(error[3:]).max()) < 0.4
 
 
+def test_a_level_drive_leaves_height_and_tilt_open() -> None:
+    sources, tracks = drive(0.003)
+    starts: dict[str, MotionStart | Rejected] = {"scanner": make_start()}
+    placed = place_scanners(starts, "root", tracks, sources, np.random.default_rng(1))["scanner"]
+    assert isinstance(placed, Rejected)
+    assert "the height, roll and pitch of scanner stay open" in placed.reason
+
+
 def test_without_a_lidar_in_space_there_is_no_place() -> None:
     sources, tracks = drive(0.05)
     sources["odometry"] = None  # type: ignore[assignment]

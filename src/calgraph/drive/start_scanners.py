@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.sources.source import Source
-from calgraph.drive.start import MotionStart
+from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION, MotionStart, measure_turns
 from calgraph.drive.surface_points import CELL_LIMITS
 from calgraph.drive.sweeps import Sweep, thin_sweep
 from calgraph.errors import Rejected
@@ -49,13 +49,24 @@ def place_scanners(
         scanner = sources[name]
         if isinstance(start, Rejected) or not (isinstance(scanner, LidarSource) and scanner.flat_in_space):
             continue
-        if isinstance(root, LidarSource) and isinstance(along, Segments) and start.axis is not None:
-            placed[name] = _place(start, start.axis, scanner, root, along.tracks[0], rng)
-        else:
+        if not (isinstance(root, LidarSource) and isinstance(along, Segments) and start.axis is not None):
             placed[name] = Rejected(
                 f"no 3-D LiDAR shows where the scan plane of {name} is: add one, or calibrate 2-D scanners alone"
             )
+        elif _turns_about_one_axis(along):
+            placed[name] = Rejected(
+                f"the robot turned about one axis only, along which walls do not change: the height, roll and pitch "
+                f"of {name} stay open: drive over ramps, too"
+            )
+        else:
+            placed[name] = _place(start, start.axis, scanner, root, along.tracks[0], rng)
     return placed
+
+
+def _turns_about_one_axis(along: Segments) -> bool:
+    times = np.arange(along.start, along.end - MOTION_DURATION, MOTION_DURATION / 3)
+    motions, known = along.relative(times, MOTION_DURATION)
+    return bool(measure_turns(motions[known])[0][1] < MIN_SECOND_TURN)
 
 
 def _place(
