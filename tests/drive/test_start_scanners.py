@@ -69,7 +69,7 @@ def test_a_level_drive_leaves_height_and_tilt_open() -> None:
     starts: dict[str, MotionStart | Rejected] = {"scanner": make_start()}
     placed = place_scanners(starts, "root", tracks, sources, np.random.default_rng(1))["scanner"]
     assert isinstance(placed, Rejected)
-    assert "the height, roll and pitch of scanner stay open" in placed.reason
+    assert "the height, roll and pitch of scanner open" in placed.reason
 
 
 def test_without_a_lidar_in_space_there_is_no_place() -> None:

@@ -55,8 +55,8 @@ def place_scanners(
             )
         elif _turns_about_one_axis(along):
             placed[name] = Rejected(
-                f"the robot turned about one axis only, along which walls do not change: the height, roll and pitch "
-                f"of {name} stay open: drive over ramps, too"
+                f"the robot turned about one axis only, which leaves the height, roll and pitch of {name} open: "
+                "drive over ramps, too"
             )
         else:
             placed[name] = _place(start, start.axis, scanner, root, along.tracks[0], rng)
