@@ -27,8 +27,8 @@ _UNVERIFIED = (
 )
 # Of 2-D scanners in space: one of ten was 0.23 m off at a stated 26 mm, from a start at another minimum.
 _UNVERIFIED_TILT = (
-    "only rocking of the robot shows the height and tilt of a 2-D scanner, and another place may fit as well: beside "
-    "3-D LiDARs, they are weak in this version"
+    "only rocking of the robot shows the height and tilt of a 2-D scanner, and another place may fit as well: "
+    "beside 3-D LiDARs, they are weak in this version"
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
