@@ -134,7 +134,7 @@ def adjust_drive(
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
         parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
         if k >= _REWEIGHTED:
-            # After the step: residuals and variances of different weights lead to a cycle of large and small noise.
+            # After the step: residuals and variances of different weights lead to a cycle of noise that grows.
             parts = [_reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)]
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
