@@ -15,6 +15,9 @@ The real recording is fr079 of Radish, a scanner of 180 degrees on a robot in an
 of straight ahead are taken as two scanners that share no view, the second in another frame and by another clock,
 which are known exactly. Windows are a minute each, the first starts after 30 s. The halves of a scan are 3 ms
 apart, so that clocks are known to 4 ms only.
+
+Audits: poses that are good are compared, as ``calgraph check`` compares them, with the true ones (false alarms)
+and with ones that are moved by 5, 20 and 50 mm and a hundredth of that number in degrees, in 32 directions each.
 """
 
 import bz2
@@ -33,6 +36,7 @@ from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
 from calgraph.config import Rig, Tolerance
+from calgraph.config.settings import VerdictSettings
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.errors import CalgraphError
@@ -42,6 +46,7 @@ from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import STANDARD_RIGS, simulate_drive
 from calgraph.simulation.drive_scenario import RANGING
+from calgraph.verdict.comparison import SignificanceTest
 from drive_kinds import KINDS, build_drive_scenario
 from worlds import NAN, Layout, finite, grouped, make_parser, mean, median, run_worlds, share, worst
 
@@ -55,6 +60,12 @@ FAR_METRES, FAR_DEGREES = 0.05, 1.0
 """By which a good pose may be off in any case."""
 ELLIPSOID = 0.999
 """Probability of the ellipsoid."""
+MOVES = (0.0, 0.005, 0.02, 0.05)
+"""Sizes of moves that audits should find, m; 0 is none."""
+DEGREES_PER_METRE = 10.0
+"""By which sensors turn as well."""
+DIRECTIONS = 32
+"""Of each move."""
 WINDOWS, WINDOW, FIRST_WINDOW = 15, 60.0, 30.0
 """Of the real recording: number, length, and start of the first, s."""
 REAL_FRAMES: Mapping[str, tuple[float, float, float, float]] = {
@@ -64,7 +75,7 @@ REAL_FRAMES: Mapping[str, tuple[float, float, float, float]] = {
 }
 """By name: x, y (m) and yaw (degrees) of the second scanner in the frame of the first; its clock minus that, s."""
 REAL_PATH = Path("radish-fr079-2d-laser-odometry", "fr079.clf.bz2")
-FEW_SURFACES = "of the surfaces that another sensor passed"
+FEW_SURFACES = "walls that it measured agree"
 """In the reason of a verdict: fewer than 30 cells."""
 WRONG = tuple(
     kind for kind in KINDS if kind not in ("ordinary", "planar", "clocks_half_a_second", "corridor_both_ways")
@@ -108,6 +119,12 @@ class Outcome:
     """And of the simulation."""
     gigabytes: float = NAN
     """Largest memory of the process during the calibration, with the messages."""
+    false_alarm: float = NAN
+    """Whether an audit finds that the sensor moved, which did not; of good poses,"""
+    found_5: float = NAN
+    found_20: float = NAN
+    found_50: float = NAN
+    """and the shares of moves by 5, 20 and 50 mm that it finds."""
     text: str = ""
     """Reason of the verdict or of its absence, and remarks."""
 
@@ -232,6 +249,8 @@ def judge(outcome: Outcome, found: Calibration, truth: Truth) -> Outcome:
     degrees = float(np.degrees(np.linalg.norm(known[3:])))
     clock, (metres, radians) = sensor.clock_offset, sensor.worst_stddev
     translation, rotation = axes[axes < 3], axes[axes >= 3]
+    good = sensor.verdict.grade == "good"
+    audits = audit(error, sensor.covariance, axes, outcome.seed) if good else [NAN] * len(MOVES)
     return replace(
         outcome,
         grade=sensor.verdict.grade,
@@ -245,8 +264,26 @@ def judge(outcome: Outcome, found: Calibration, truth: Truth) -> Outcome:
         stddev_degrees=float(np.degrees(radians)),
         outside_millimetres=beyond * millimetres,
         outside_degrees=beyond * degrees,
+        false_alarm=audits[0],
+        found_5=audits[1],
+        found_20=audits[2],
+        found_50=audits[3],
         text=f"{sensor.verdict.reason} | {remarks}".strip(" |"),
     )
+
+
+def audit(error: Array, covariance: Array, axes: Index, seed: int) -> list[float]:
+    """Shares of the moves of each size that are significant beside the error (6,) of a pose."""
+    rng = np.random.default_rng([seed, 7])
+    limit = SignificanceTest.of(VerdictSettings().false_alarm_probability, len(axes)).max_chi2
+    directions = np.zeros((DIRECTIONS, 6))
+    directions[:, axes] = rng.normal(size=(DIRECTIONS, len(axes)))
+    for block, unit in ((slice(0, 3), 1.0), (slice(3, 6), np.radians(DEGREES_PER_METRE))):
+        directions[:, block] *= unit / np.linalg.norm(directions[:, block], axis=1, keepdims=True)
+    return [
+        float(np.mean([_squared_distance(error - size * one, covariance, axes) > limit for one in directions]))
+        for size in MOVES
+    ]
 
 
 def _squared_distance(error: Array, covariance: Array, axes: Index) -> float:
@@ -344,6 +381,11 @@ def show(outcomes: Sequence[Outcome]) -> None:
             f"    {one.kind} {one.rig} seed {one.seed} {one.sensor}: {one.millimetres:.1f} mm, "
             f"{one.degrees:.3f} deg, NEES {one.nees:.1f}"
         )
+    if good:
+        found = ", ".join(
+            f"{mean([getattr(one, f'found_{n}') for one in good]):.0%} of {n} mm" for n in (5, 20, 50)
+        )
+        print(f"audits: {mean([one.false_alarm for one in good]):.0%} false alarms; moves found: {found}")
     enough = [one for one in outcomes if one.sensor and FEW_SURFACES not in one.text]
     print(f"with enough common surfaces: {len(enough)} sensors, good {share(good, enough)}")
     for one in outcomes:

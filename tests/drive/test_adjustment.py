@@ -19,6 +19,7 @@ from calgraph.drive.adjustment import (
     _reduce_part,
     adjust_drive,
 )
+from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.drive.surface_elimination import (
@@ -376,11 +377,26 @@ def test_the_solution_has_settled(solutions: list[tuple[Scene, Adjustment]]) -> 
     assert max(found.squared_step for _, found in solutions) < 0.05
 
 
-def test_surfaces_of_both_sensors_are_counted(solutions: list[tuple[Scene, Adjustment]]) -> None:
+def test_maps_agree_at_the_solution(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    """The room has about 30 m of walls along each axis, in cells of 0.5 m."""
     for _, found in solutions:
-        shared = found.shared_cells
-        assert_allclose(shared, shared.T)
-        assert 40 < shared[0, 1] <= min(shared[0, 0], shared[1, 1]) < 150
+        assert_allclose(found.agreement, found.agreement.T)
+        assert_allclose(np.diag(found.agreement), 0, atol=1e-9)
+        assert 15 < found.agreement[0, 1] < 70
+
+
+@DIMENSIONS
+def test_maps_of_a_wrong_pose_do_not_agree(n: int) -> None:
+    """In space the floor agrees still: the robot moves along it."""
+    scene = simulate(n, 10.0, 0)
+    right = scene.truth[1].T_root_sensor
+    wrong = se_n.pose(se_n.rotation(right), se_n.translation(right) + np.array([0.5, 0.4, 0.0])[:n])
+    truth, moved = (
+        measure_agreement([scene.part], [scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])[0, 1]
+        for T in (right, wrong)
+    )
+    assert truth > 8
+    assert moved < 2
 
 
 def test_the_root_stays_and_progress_ends_at_one() -> None:

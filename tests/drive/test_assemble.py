@@ -24,7 +24,7 @@ RIG = Rig.model_validate({
 
 
 def solution() -> Adjustment:
-    """Two LiDARs with standard deviations of 1 mm and 1 mrad, and 200 surfaces in common."""
+    """Two LiDARs with standard deviations of 1 mm and 1 mrad, whose maps agree."""
     free: NDArray[np.bool_] = np.ones((2, 6 + BESIDE_POSE), dtype=bool)
     free[0, :7] = False
     P = 1e-6 * np.eye(int(free.sum()))
@@ -33,7 +33,7 @@ def solution() -> Adjustment:
     return Adjustment(
         [SensorState(np.eye(4)), SensorState(T_front_rear)], [], P, P, free,
         NoiseModel(np.full(2, 0.02), np.zeros(2)),
-        np.full((2, 2), 200.0), np.full(2, 0.02), np.full(2, 1e5), 0.01,
+        20.0 * (1 - np.eye(2)), np.full(2, 0.02), np.full(2, 1e5), 0.01,
     )  # fmt: skip
 
 
@@ -55,7 +55,7 @@ def test_a_certain_pose_that_nothing_contradicts_is_good() -> None:
     ("change", "reason"),
     [
         ({"squared_step": 30.0}, "has not converged"),
-        ({"shared_cells": np.array([[200.0, 20], [20, 200]])}, "passed only 20 of the surfaces"),
+        ({"agreement": np.array([[0.0, 2], [2, 0]])}, "agree with those of other sensors in 2 places"),
         ({"point_counts": np.array([0, 1e5])}, "it and the root do not both measure surfaces"),
     ],
 )
@@ -63,6 +63,26 @@ def test_a_solution_that_is_not_to_be_trusted_is_weak(change: dict[str, Any], re
     found, text = grade(replace(solution(), **change))
     assert found == "weak"
     assert reason in text
+
+
+@pytest.mark.parametrize(("agreeing", "grade_of_both"), [([(0, 1), (1, 2)], "good"), ([(1, 2)], "weak")])
+def test_maps_agree_with_that_of_the_root_by_chains(agreeing: list[tuple[int, int]], grade_of_both: str) -> None:
+    """Two sensors whose maps agree with each other only may have the same wrong odometry."""
+    names = ["front", "rear", "right"]
+    sensors = {name: {"kind": "lidar3d", "topic": f"/{name}"} for name in names}
+    rig = Rig.model_validate({"root": "front", "target": {"kind": "surroundings"}, "sensors": sensors})
+    two, agreement = solution(), np.zeros((3, 3))
+    for i, j in agreeing:
+        agreement[i, j] = agreement[j, i] = 20.0
+    free = two.free[[0, 1, 1]]
+    P = 1e-6 * np.eye(int(free.sum()))
+    three = replace(
+        two, states=[*two.states, two.states[1]], covariance=P, independent_covariance=P, free=free,
+        agreement=agreement, residual_rms=np.full(3, 0.02), point_counts=np.full(3, 1e5),
+    )  # fmt: skip
+    views = dict.fromkeys(names, np.zeros((0, 2)))
+    found = assemble_drive(rig, DriveResult(names, {}, {"rear": START, "right": START}, three, [], views))
+    assert [found[name].verdict.grade for name in names[1:]] == [grade_of_both] * 2
 
 
 def test_lidars_whose_turn_rates_agree_in_part_are_weak() -> None:

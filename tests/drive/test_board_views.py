@@ -1,10 +1,11 @@
 """Boards fixed in the room: derivatives, whitening, and the joint solution of cameras that never see one board."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, _add_motion_prior, adjust_drive
 from calgraph.drive.board_views import BoardMeasurements, BoardView, SharedErrors

@@ -66,7 +66,8 @@ def test_a_straight_drive_calibrates_nothing_and_says_so() -> None:
     )
     assert [sensor.name for sensor in calibration.sensors] == ["a"]
     assert calibration["a"].verdict.grade == "unobservable"
-    assert set(calibration.evidence.unconnected) == {"b"}
+    assert list(calibration.evidence.unconnected) == ["b"]
+    assert "the robot turned alike all the time" in calibration.evidence.unconnected["b"]
 
 
 def test_a_sensor_with_few_sweeps_has_a_reason() -> None:
@@ -97,6 +98,7 @@ def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 
         (start((0.1, 0.05, 0.01)), ""),
         (start((0.1,)), ""),
         (start((0.1, 0.05, 0.01), correlation=0.5), "turn rates do not agree"),
+        (replace(start((0.5,), correlation=0.1), turn_change=0.02), "turned alike all the time (± 1.1° in 1.5 s)"),
         (start((0.02, 0.02, 0.01)), "hardly turned"),
         (start((0.1, 0.01, 0.01)), "about one axis only"),
         (start((0.1, 0.05, 0.01), inliers=0.2), "only 20% of its motions"),

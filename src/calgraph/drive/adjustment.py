@@ -21,6 +21,7 @@ from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.changes import PERIOD, Change, PeriodEquations, find_changes
 from calgraph.drive.clustered_covariance import ClusteredScores, widen_covariance
+from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
@@ -53,8 +54,8 @@ class Adjustment:
     free: NDArray[np.bool_]
     """(S, n + d + 6): which these are."""
     noise: NoiseModel
-    shared_cells: Array
-    """(S, S) number of surfaces that both sensors measured."""
+    agreement: Array
+    """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
     residual_rms: Array
     """(S,) m, of the points on surfaces."""
     point_counts: Array
@@ -142,7 +143,7 @@ def adjust_drive(
     widened = widen_covariance(covariance, [one.cluster_scores(count) for one in reduced])
     return Adjustment(
         states, parts, widened[:count, :count], covariance[:count, :count], free, noise,
-        shared_cells=np.sum([one.surfaces.shared for one in reduced], axis=0),
+        agreement=measure_agreement(parts, states),
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),

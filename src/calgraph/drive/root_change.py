@@ -49,7 +49,7 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
         covariance=J @ adjusted.covariance @ J.T,
         independent_covariance=J @ adjusted.independent_covariance @ J.T,
         free=free,
-        shared_cells=adjusted.shared_cells[np.ix_(order, order)],
+        agreement=adjusted.agreement[np.ix_(order, order)],
         residual_rms=adjusted.residual_rms[order],
         point_counts=adjusted.point_counts[order],
     )

@@ -37,7 +37,8 @@ _MAX_ERROR = 0.15, 0.05
 # drives is up to 0.5.
 _MIN_CORRELATION = 0.6
 # RMS turns of motions that determine a pose, rad: ten times the error of odometry's rotation, 0.2 degrees, about
-# the main axis; about a second axis five times.
+# the main axis; about a second axis five times. Turns have to change by as much: a clock is found by these. They
+# change by 0.001 to 0.01 where a robot drives a circle, and up to 0.022 where it drives straight on.
 _MIN_TURN, MIN_SECOND_TURN = 0.035, 0.0175
 # Travel of motions in the plane that determines where a sensor looks, m: more than the largest error of one. It is
 # 0.01 to 0.07 of robots that turn on the spot, or drive a circle, and 0.46 and more of others.
@@ -62,6 +63,8 @@ class MotionStart:
     """Number of relative motions."""
     turns: Array
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
+    turn_change: float = np.inf
+    """Standard deviation of the turns about the main axis, rad: the larger of the sensor's and the root's."""
     travel: float = np.inf
     """RMS of the part of motions in the plane that turns about one fixed point do not explain, m; infinite in
     space, where turns about two axes determine the rotation."""
@@ -150,7 +153,8 @@ def solve_start(
         if A.shape[-1] == 3:
             travel = _measure_travel(T, A, B, weights)
     inliers = float(np.mean(weights > 0.25))
-    return MotionStart(T, offset, inliers, correlation, len(A), turns, travel, axis, boards)
+    change = max(_measure_turn_change(one) for one in (A, B))
+    return MotionStart(T, offset, inliers, correlation, len(A), turns, change, travel, axis, boards)
 
 
 def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:
@@ -193,8 +197,18 @@ def measure_turns(motions: Array) -> tuple[Array, Array]:
     return np.asarray(turns / np.sqrt(len(motions))), np.asarray(axes)
 
 
+def _measure_turn_change(motions: Array) -> float:
+    """The standard deviation of the turns of motions (K, n+1, n+1) about their main axis, rad."""
+    return float(np.std(se_n.log(se_n.rotation(motions)) @ measure_turns(motions)[1][0]))
+
+
 def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free") -> str:
     """Why a start is not to be relied on, and what to drive instead; empty if it is."""
+    if start.turn_change < _MIN_TURN and not start.by_boards:
+        return (
+            f"the robot turned alike all the time (± {np.degrees(start.turn_change):.1f}° in "
+            f"{MOTION_DURATION:g} s): drive curves to both sides, without which nothing determines where {name} is"
+        )
     if start.correlation < _MIN_CORRELATION and not start.by_boards:
         return (
             f"its turn rates do not agree with the root's (correlation {start.correlation:.2f}): its clock is "

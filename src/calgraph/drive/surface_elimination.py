@@ -37,8 +37,6 @@ class SurfaceEquations:
     """(S, 2) standard deviation of residuals around patches, m, and number of points."""
     view: Array
     """(2, 2) sums of squared view biases as in :attr:`NoiseModel.view`, m², and (last axis) their number."""
-    shared: Array
-    """(S, S) number of surfaces that both sensors measured."""
     scores: "PointScores"
     """Of each point."""
 
@@ -107,7 +105,6 @@ def eliminate_surfaces(
         H, g,
         _white_statistics(around, at.sensor, len(free)),
         _view_statistics(fit, views.surface, surfaces),
-        _count_shared(views, len(free), surfaces),
         PointScores(J, at.patch, at.surface, weight * around, _block_rows(fit.surface_inverse) @ total.G),
     )  # fmt: skip
 
@@ -290,13 +287,6 @@ def _view_statistics(fit: _Fit, surface: Index, count: int) -> Array:
     several = np.bincount(surface, minlength=count)[surface] > 1
     expected = fit.bias[several] ** 2 + np.diagonal(fit.bias_variance[several], axis1=-2, axis2=-1)
     return np.array([[some.sum(), some.size] for some in (expected[:, :1], expected[:, 1:-1])])
-
-
-def _count_shared(views: _Views, sensors: int, surfaces: int) -> Array:
-    """(S, S) number of surfaces that both sensors measured."""
-    measured = np.zeros((sensors, surfaces))
-    measured[views.sensor, views.surface] = 1
-    return np.asarray(measured @ measured.T)
 
 
 def _invert(matrices: Array) -> Array:

@@ -14,7 +14,7 @@ from calgraph.surfaces.flat_cells import CellLimits, FlatCells, fit_flat_cells, 
 # Lines need fewer points than planes; a patch must extend far enough for slopes to be determined.
 CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
 # Thickness (standard deviation) up to which a cell is flat at a gate, which then holds 99.7 % of its points.
-_THICKNESS_PER_GATE = 1 / 3
+THICKNESS_PER_GATE = 1 / 3
 # Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell. On 15 minutes of
 # real scans of an office, 0.5 to 4 s give median errors of 7.4 to 8.9 mm, 0.2 s 10.3, and one view in all 9.9.
 _VIEW_DURATION = 1.0
@@ -64,10 +64,8 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     world = np.concatenate([one.world for one in at])
     sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
     view = _number_views(part, np.concatenate([one.time for one in at]))
-    limits = CELL_LIMITS[world.shape[1]]
     maps = ~np.array([one.flat for one in part.points])[sensor]
-    moments = sum_moments_within(world[maps], (view * len(at) + sensor)[maps], limits.cell)
-    surfaces = fit_flat_cells(moments, limits, gate * _THICKNESS_PER_GATE)
+    surfaces = fit_surfaces(world[maps], (view * len(at) + sensor)[maps], gate * THICKNESS_PER_GATE)
     index = surfaces.find(world)
     distance = np.einsum("ni,ni->n", world - surfaces.center[index], surfaces.normals[index])
     index[np.abs(distance) >= gate] = -1
@@ -78,6 +76,18 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
         cell[hit.index] = one
         cells.append(cell)
     return Association(surfaces, cells)
+
+
+def fit_surfaces(world: Array, view: Index, thickness: float) -> FlatCells:
+    """The cells in which points (N, n) of each view (N,) have a standard deviation of this at most, m."""
+    limits = CELL_LIMITS[world.shape[1]]
+    return fit_flat_cells(sum_moments_within(world, view, limits.cell), limits, thickness)
+
+
+def locate_points(part: DrivePart, k: int, state: SensorState) -> tuple[Array, Index]:
+    """The points (N, n) of sensor k in the world, m, and the views (N,) in which they were measured."""
+    at = _evaluate(part, k, state, select_inside(part, k, state))
+    return at.world, _number_views(part, at.time)
 
 
 def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:

@@ -1,0 +1,54 @@
+"""Whether the maps of two sensors agree: what odometry that failed cannot imitate.
+
+The joint solution takes points near a surface as points of it, and leaves out the others, so that residuals of a
+wrong pose are small. Here surfaces are those of one sensor alone, and all points of another within their outlines
+count. In the wrong place the floor agrees still, and walls do not.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calgraph.drive.measurements import DrivePart
+from calgraph.drive.states import SensorState
+from calgraph.drive.surface_points import THICKNESS_PER_GATE, fit_surfaces, locate_points
+from calgraph.geometry import Array
+from calgraph.surfaces.flat_cells import FlatCells
+
+# Distance up to which a point is on a surface, m: that of the last iterations of the joint solution.
+_NEAR = 0.09
+# Extent of a surface in standard deviations of its points along it: a uniform patch ends at 1.7.
+_OUTLINE = 2.0
+# Points of a sensor on a surface from which their majority decides.
+_MIN_POINTS = 5
+
+
+def measure_agreement(parts: Sequence[DrivePart], states: Sequence[SensorState]) -> Array:
+    """(S, S) by how many surfaces the maps of two sensors agree, along the direction of walls with the fewest.
+
+    Surfaces on which they agree count as 1, others as -1, by the squares of their normals along a direction; the
+    worst direction counts, and the worst but one in space, which has a floor.
+    """
+    S, n = len(states), len(states[0].T_root_sensor) - 1
+    scatter = np.zeros((S, S, n, n))
+    for part in parts:
+        located = [locate_points(part, k, state) for k, state in enumerate(states)]
+        for i, (points, views) in enumerate(located):
+            surfaces = fit_surfaces(points, views, THICKNESS_PER_GATE * _NEAR)
+            for j in range(S):
+                if j != i:
+                    scatter[i, j] += _compare(surfaces, located[j][0])
+    return np.asarray(np.linalg.eigvalsh(scatter + np.swapaxes(scatter, 0, 1))[..., n - 2] / 2)
+
+
+def _compare(surfaces: FlatCells, points: Array) -> Array:
+    """(n, n) sum of n nᵀ over the surfaces on which points (N, n) are, less those beside which they are."""
+    index = surfaces.find(points)
+    points, index = points[index >= 0], index[index >= 0]
+    local = np.einsum("ni,nij->nj", points - surfaces.center[index], surfaces.axes[index])
+    inside = np.all(np.abs(local[:, 1:]) < _OUTLINE * surfaces.extent[index], axis=1)
+    index, near = index[inside], np.abs(local[inside, 0]) < _NEAR
+    count = np.bincount(index, minlength=len(surfaces.keys))
+    share = np.bincount(index, near, len(surfaces.keys)) / np.maximum(count, 1)
+    sign = np.where(share > 0.5, 1.0, -1.0) * (count >= _MIN_POINTS)
+    return np.asarray(surfaces.normals.T @ (sign[:, None] * surfaces.normals))
