@@ -1,6 +1,6 @@
 """Places of 2-D scanners on a robot with a 3-D LiDAR: where their points are on the surfaces that it measured."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -85,7 +85,7 @@ def _place(
     return replace(start, T_root_sensor=min(found, key=lambda one: one[1])[0])
 
 
-def _join(sweeps: list[Sweep] | tuple[Sweep, ...]) -> Sweep:
+def _join(sweeps: Sequence[Sweep]) -> Sweep:
     points, times, timing = (
         np.concatenate([getattr(one, name) for one in sweeps]) for name in ("points", "times", "timing")
     )
