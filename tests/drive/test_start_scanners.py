@@ -1,15 +1,19 @@
 """Places of 2-D scanners by the surfaces that a 3-D LiDAR measured."""
 
 import numpy as np
+from numpy.testing import assert_array_equal
 
+from calgraph.drive.measurements import DrivePart
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
 from calgraph.drive.start_scanners import place_scanners
+from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.surface_points import associate_points
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
-from calgraph.surfaces.trajectory import Track
+from calgraph.surfaces.trajectory import Track, fit_spline
 
 CORNERS = np.array([4.0, 3.0, 1.5])
 """Half of a room, m."""
@@ -80,3 +84,17 @@ def test_without_a_lidar_in_space_there_is_no_place() -> None:
     placed = place_scanners(starts, "odometry", tracks, sources, np.random.default_rng(1))["scanner"]
     assert isinstance(placed, Rejected)
     assert "no 3-D LiDAR" in placed.reason
+
+
+def test_points_of_a_scanner_are_on_surfaces_and_show_none() -> None:
+    """With lines of its points, walls would lean as a wrong height and tilt demand."""
+    sources, tracks = drive(0.05)
+    along = tracks["root"]
+    assert isinstance(along, Segments)
+    spline = fit_spline(along.tracks[0], 1.0, 15.0, 0.1)
+    lidar, scanner = (source.points(1.0, 15.0) for source in sources.values())
+    states = [SensorState(np.eye(4)), SensorState(T_ROOT_SCANNER)]
+    both = associate_points(DrivePart([lidar, scanner], spline), states, 0.1)
+    alone = associate_points(DrivePart([lidar, SensorPoints(np.zeros((0, 3)), np.zeros(0))], spline), states, 0.1)
+    assert_array_equal(both.surfaces.center, alone.surfaces.center)
+    assert np.mean(both.cell[1] >= 0) > 0.7
