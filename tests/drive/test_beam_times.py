@@ -45,7 +45,8 @@ def solve(seed: int, timing: Sequence[float]) -> Adjustment:
     for T, clock in ((np.eye(3), 0.0), (MOUNTED, CLOCK)):
         sweeps = measure(T, clock, 0.013, rng)
         names = ("points", "times", "timing")
-        points.append(SensorPoints(*(np.concatenate([getattr(one, name) for one in sweeps]) for name in names)))
+        x, at, shares = (np.concatenate([getattr(one, name) for one in sweeps]) for name in names)
+        points.append(SensorPoints(x, at, shares))
     times = np.arange(-2, 10 * DURATION + 3) / 10
     world = se_n.pose(se_n.exp(np.array([0.3])), np.full(2, 0.13))
     track = Track(times, world @ drive(np.maximum(times, 0), 2))

@@ -129,13 +129,14 @@ def adjust_drive(
         deviation = np.concatenate([_deviation(states, start)[free], shared])
         g = sum((one.gradient for one in reduced), deviation * information)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
-        if k >= _REWEIGHTED:
-            parts = [_reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)]
         full = np.zeros(free.shape)
         full[free] = step[:count]
         shared = shared + step[count:]
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
         parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
+        if k >= _REWEIGHTED:
+            # After the step: residuals and variances of different weights lead to a cycle of noise that grows.
+            parts = [_reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)]
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)

@@ -32,9 +32,6 @@ _MAX_CORNERS = 24
 _MIN_NOISE, _MIN_BIAS = 0.05, 0.02
 # Least share of the squared displacements of views that the fit leaves: below, other sensors are far less precise.
 _MIN_LEFT = 0.05
-# Times that noise is estimated again; it is kept from then on: standard deviations of few views are differences
-# of medians, which solutions follow to and fro (squared steps of 0.1 to 4 without end).
-_UPDATES = 5
 # Errors of a corner beyond which it is left out, of the image's width.
 _MAX_ERROR = 0.5
 # Squared whitened displacement and distortion (6 in all) of a view from which its weight falls: of 1 in 20.
@@ -109,8 +106,6 @@ class BoardMeasurements:
     spreads: Array | None = None
     """(S, 3) by number of the sensor, standard deviations of a corner by noise, displacement and distortion of its
     view, pixels; those of the residuals if None."""
-    updates: int = 0
-    """How many times noise was estimated again."""
 
     @classmethod
     def of_views(
@@ -159,7 +154,7 @@ class BoardMeasurements:
     ) -> "BoardMeasurements":
         """See :class:`Measurements`: REML for the standard deviations of displacements and distortions."""
         inside = self._find_inside(trajectory, states)
-        if not len(inside) or self.updates == _UPDATES:
+        if not len(inside):
             return self
         rows = self.linearize(trajectory, states, shared)
         # Six of each view; only their mean by camera is used.
@@ -173,7 +168,7 @@ class BoardMeasurements:
         plain = replace(self, whitened=False).linearize(trajectory, states, shared)
         found = replace(self, left=left)._select(inside)
         spreads = found._estimate_spreads(plain.residual.reshape(len(inside), -1), len(states))
-        return replace(self, left=left, spreads=spreads, updates=self.updates + 1)
+        return replace(self, left=left, spreads=spreads)
 
     def _find_inside(self, trajectory: SplineTrajectory, states: Sequence[SensorState]) -> Index:
         """Indices of the views within the time of a trajectory."""

@@ -22,6 +22,7 @@ from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.sources.camera import CameraSource, find_boards
 from calgraph.drive.start import MotionStart, StartMotion
 from calgraph.drive.start_heights import add_heights
+from calgraph.drive.start_scanners import place_scanners
 from calgraph.drive.start_tree import choose_lead, solve_starts
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
@@ -83,6 +84,8 @@ def calibrate_sources(
     lead = _select_lead(rig, tracks)
     motions = {name: _select_motion(rig, lead, name) for name in rig.sensors}
     from_lead = add_heights(solve_starts(lead, tracks, motions, options.seed), lead, sources)
+    rng = np.random.default_rng([options.seed, len(tracks), 3])
+    from_lead = place_scanners(from_lead, lead, tracks, sources, rng)
     used = [lead, *(name for name, start in from_lead.items() if isinstance(start, MotionStart))]
     starts = from_lead if lead == rig.root else _express_in_root(rig.root, lead, from_lead)
     if rig.root not in used or not (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
@@ -104,7 +107,9 @@ def calibrate_sources(
 def _select_lead(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
     """The sensor for which poses and trajectory are solved: a LiDAR, whose surfaces need its trajectory only."""
     kinds = {
-        name: SOURCES[rig.sensors[name].kind] for name, track in tracks.items() if isinstance(track, Segments)
+        name: SOURCES[rig.sensors[name].kind]
+        for name, track in tracks.items()
+        if isinstance(track, Segments) and (dimension_of(rig) == 2 or rig.sensors[name].kind != "lidar2d")
     }
     lidars = [name for name, kind in kinds.items() if kind.has_surfaces]
     candidates = lidars or [name for name, kind in kinds.items() if kind.has_place]

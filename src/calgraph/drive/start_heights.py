@@ -37,6 +37,7 @@ def add_heights(
         and start.axis is not None
         and isinstance(root, LidarSource)
         and isinstance(source := sources[name], LidarSource)
+        and not source.flat_in_space
         else start
         for name, start in starts.items()
     }

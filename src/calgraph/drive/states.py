@@ -24,6 +24,8 @@ class SensorPoints:
     """(N, 3), or (3,) of all: what its errors of timing add to these times, s, each in separate units: the sweep
     from the first to the last beam, and the delay of odd beams, in periods; the irregularity of stamps, as a share
     of that which was smoothed."""
+    flat: bool = False
+    """Whether its points are of one plane in space, and show no surface by themselves."""
 
 
 @dataclass(frozen=True, eq=False)

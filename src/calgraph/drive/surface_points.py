@@ -65,8 +65,10 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     used = [select_inside(part, k, state) for k, state in enumerate(states)]
     at = _evaluate_all(part, states, used)
     counts = [int(one.sum()) for one in used]
-    view = _number_views(part, at.time) * len(used) + np.repeat(np.arange(len(used)), counts)
-    surfaces = fit_surfaces(at.world, view, gate * THICKNESS_PER_GATE)
+    sensor = np.repeat(np.arange(len(used)), counts)
+    maps = ~np.array([one.flat for one in part.points])[sensor]
+    view = _number_views(part, at.time) * len(used) + sensor
+    surfaces = fit_surfaces(at.world[maps], view[maps], gate * THICKNESS_PER_GATE)
     index = surfaces.find(at.world)
     distance = np.einsum("ni,ni->n", at.world - surfaces.center[index], surfaces.normals[index])
     index[np.abs(distance) >= gate] = -1

@@ -35,6 +35,11 @@ class Sweep:
     timing: Array
     """(N, 3) as of :attr:`SensorPoints.timing`, of beams whose times are not stated; 0 otherwise."""
 
+    @property
+    def flat(self) -> "Sweep":
+        """The same in the plane."""
+        return replace(self, points=self.points[:, :2])
+
     def select(self, index: Index) -> "Sweep":
         """Some of the points."""
         return Sweep(self.time, self.points[index], self.times[index], self.timing[index])

@@ -13,10 +13,11 @@ from calgraph.drive.sources.source import CLOCK_STDDEV, POSE_STDDEV, Source, Sou
 from calgraph.drive.states import SensorPoints
 from calgraph.drive.sweeps import Sweep, read_sweep, smooth_times, thin_sweep
 from calgraph.errors import Rejected
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se2
 from calgraph.sensors import LaserScan, Message, PointCloud
 from calgraph.sensors.kinds import SensorSpec
 from calgraph.sensors.kinds.stated import RangeUncertainty
+from calgraph.surfaces.trajectory import Track
 
 # Points of a sweep that are kept, registered in odometry, and adjusted: cells of 1 m within 10 m have some ten of
 # 4000, and bodies of a room are met by ten of 150.
@@ -72,10 +73,11 @@ class LidarSource(Source):
 
     def track(self, rng: np.random.Generator) -> Segments | Rejected:
         """The trajectory by odometry."""
-        if self.flat_in_space:
-            return Rejected("a 2-D scanner is calibrated in a drive with other 2-D scanners only")
         if len(self.sweeps) < _MIN_SWEEPS:
             return Rejected(f"it has {len(self.sweeps)} sweeps with points; a drive needs {_MIN_SWEEPS}")
+        if self.flat_in_space:
+            track = track_sensor([sweep.flat for sweep in self.sweeps], _TRACKED_POINTS, rng)
+            return Segments((Track(track.times, se2.to_se3(track.poses)),))
         track = track_sensor(self.sweeps, _TRACKED_POINTS, rng)
         determined = float(np.mean(track.stddev < _MAX_STDDEV))
         if self.dimension == 3 and determined < _MIN_DETERMINED:
@@ -99,6 +101,7 @@ class LidarSource(Source):
             np.concatenate([one.points for one in near]),
             np.concatenate([one.times for one in near]),
             np.concatenate([one.timing for one in near]),
+            self.flat_in_space,
         )
 
 
