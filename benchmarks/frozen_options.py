@@ -20,7 +20,8 @@ from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
-from calgraph.rig.bundle.priors import PriorFile, RigidFile
+from calgraph.result.prior_file import PriorFile
+from calgraph.rig.bundle.priors import RigidFile
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.intrinsics.estimate import estimate_intrinsics

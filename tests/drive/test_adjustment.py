@@ -21,6 +21,7 @@ from calgraph.drive.adjustment import (
 )
 from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.drive.surface_elimination import (
     NoiseModel,
@@ -449,6 +450,20 @@ def test_a_prior_holds_the_pose() -> None:
     moved = se_n.difference(found.states[1].T_root_sensor, scene.start[1].T_root_sensor)
     assert np.abs(moved).max() < 2e-5
     assert np.abs(se_n.difference(scene.start[1].T_root_sensor, MOUNTED[2])).max() > 0.005
+
+
+def test_a_stated_pose_is_one_more_measurement() -> None:
+    """The solution is the mean, weighted by information, of the pose without it and of the stated one."""
+    scene = simulate(2, 10.0, 0)
+    alone = adjust_drive([scene.part], scene.start, priors(2))
+    at = slice(2, 5)
+    P = alone.independent_covariance[at, at]
+    T = se_n.retract(alone.states[1].T_root_sensor, np.array([0.002, -0.001, 0.001]))
+    stated = StatedPose(T, P / 2)
+    found = adjust_drive([scene.part], scene.start, replace(priors(2), poses={1: stated}))
+    moved = se_n.difference(found.states[1].T_root_sensor, alone.states[1].T_root_sensor)
+    assert_allclose(moved, [0.002 * 2 / 3, -0.001 * 2 / 3, 0.001 * 2 / 3], atol=1e-4)
+    assert_allclose(found.independent_covariance[at, at], P / 3, rtol=0.05, atol=1e-9)
 
 
 def test_parts_of_separate_worlds_are_solved_jointly() -> None:

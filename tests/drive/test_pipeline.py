@@ -14,7 +14,10 @@ from calgraph.drive.pipeline import calibrate_drive
 from calgraph.drive.start import MotionStart, explain_failure
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording import MessageRecording, RecordingWriter, open_recording
+from calgraph.result import read_extrinsics
+from calgraph.result.prior_file import PriorFile
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import LaserScan
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, simulate_drive
@@ -88,6 +91,24 @@ def test_scans_that_were_sent_twice_count_once() -> None:
     recording = MessageRecording({"/a": scans, "/b": [scan for scan in scans for _ in range(2)]})
     calibration = calibrate_drive(surroundings("lidar2d", a="/a", b="/b"), recording, DriveOptions())
     np.testing.assert_allclose(calibration["b"].T_root_sensor, np.eye(4), atol=0.01)
+
+
+def test_a_stated_pose_that_is_wrong_is_named(tmp_path: Path) -> None:
+    """By 50 mm at a stated 5 mm, where the drive itself has a centimetre."""
+    phase = np.linspace(0, 6, 150)
+    positions = np.stack([1.5 * np.sin(phase), 0.8 * np.sin(1.5 * phase)], axis=1)
+    scans = room_scans(positions, 0.5 * np.sin(2 * phase), 0.0)
+    transform = {"translation": {"x": 0.05, "y": 0.0, "z": 0.0}, "rotation": {"x": 0, "y": 0, "z": 0, "w": 1}}
+    save_yaml(
+        tmp_path / "poses.yaml", {"transforms": [{"frame_id": "a", "child_frame_id": "b", "transform": transform}]}
+    )
+    prior = PriorFile(read_extrinsics(tmp_path / "poses.yaml"), (0.005, 0.01))
+    calibration = calibrate_drive(
+        surroundings("lidar2d", a="/a", b="/b"), MessageRecording({"/a": scans, "/b": scans}),
+        DriveOptions(prior=prior),
+    )  # fmt: skip
+    assert calibration["b"].verdict.grade == "weak"
+    assert "the prior of b disagrees with the drive by" in calibration["b"].verdict.reason
 
 
 def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 0.8) -> MotionStart:

@@ -75,6 +75,18 @@ def test_the_clock_offset_is_found_within_two_milliseconds(n: int, offset: float
 
 
 @DIMENSIONS
+@pytest.mark.parametrize("offset", [7200.25, -1e6])
+def test_clocks_that_have_no_time_in_common_are_compared_by_turns_alone(n: int, offset: float) -> None:
+    """Of which the second begins 12 s later: files of other programs have clocks of their own."""
+    times = np.arange(0, 60, 0.1)
+    root = Track(times, path(times, n))
+    sensor = Track(times[120:] + offset, path(times[120:], n) @ mounted(n))
+    found, correlation = find_clock_offset(whole(root), whole(sensor), 0.5)
+    assert found == pytest.approx(offset, abs=0.002)
+    assert correlation > 0.999
+
+
+@DIMENSIONS
 def test_the_clock_offset_is_found_between_sensors_of_different_rates(n: int) -> None:
     """Turn rates between two poses are of the time in the middle."""
     coarse, fine = np.arange(600) / 10, np.arange(1200) / 20

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
 from calgraph.drive.start_heights import add_heights
+from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
@@ -39,7 +40,7 @@ def find(start_height: float, sign: float, floor: bool = True) -> MotionStart | 
         "root": source(T_world_root, 300, rng),
         "rear": source(T_world_root @ T_ROOT_SENSOR, 500, rng, floor),
     }
-    return add_heights({"rear": start}, "root", sources)["rear"]
+    return add_heights({"rear": start}, "root", sources, {})["rear"]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -56,8 +57,20 @@ def test_without_a_common_floor_the_height_is_open() -> None:
     assert "rear and the root do not both measure the floor" in found.reason
 
 
+def test_a_stated_height_is_taken() -> None:
+    axis = np.array([0.0, 0, 1])
+    start = MotionStart(T_ROOT_SENSOR, 0.0, 0.7, 0.99, 50, np.array([0.3, 0.0, 0.0]), axis=axis)
+    T = T_ROOT_SENSOR.copy()
+    T[:3, 3] += [0.3, -0.2, 0.5]
+    rng = np.random.default_rng(0)
+    sources = {name: source(np.eye(4), 300, rng, floor=False) for name in ("root", "rear")}
+    found = add_heights({"rear": start}, "root", sources, {"rear": StatedPose(T, np.eye(6))})["rear"]
+    assert isinstance(found, MotionStart)
+    assert_allclose(found.T_root_sensor[:3, 3] - T_ROOT_SENSOR[:3, 3], [0, 0, 0.5])
+
+
 def test_other_starts_stay() -> None:
     start = MotionStart(T_ROOT_SENSOR, 0.0, 0.7, 0.99, 50, np.full(3, 0.3))
     rejected = Rejected("why")
     sources = dict.fromkeys(("root", "rear", "left"), LidarSource([], 3, False))
-    assert add_heights({"rear": start, "left": rejected}, "root", sources) == {"rear": start, "left": rejected}
+    assert add_heights({"rear": start, "left": rejected}, "root", sources, {}) == {"rear": start, "left": rejected}

@@ -127,12 +127,14 @@ def calibrate(
         check_not_overwriting(dump.parent, [dump.name], force=force)
     if dump and not _is_in(dump, out):
         check_output_path(dump)
-    rig_options = {"--prior": prior, "--rigid": rigid, "--dump": dump}
+    rig_options = {"--rigid": rigid, "--dump": dump}
     network_options = {"--extend": extend, "--moved": moved}
     if not rig.is_network:
         _check_unused("networks", network_options)
     if rig.is_network or rig.is_drive:
         _check_unused("rigs with a board", rig_options)
+    if rig.is_network:
+        _check_unused("rigs with a board or that drive", {"--prior": prior})
     if rig.is_drive and estimator != "joint":
         raise InputError(f"--estimator: must be joint for a rig that drives, got {estimator}")
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
@@ -156,7 +158,7 @@ def calibrate(
         elif rig.is_drive:
             from calgraph.drive.options import DriveOptions
 
-            options = DriveOptions(seed=seed, engine=engine)
+            options = DriveOptions(seed=seed, prior=prior_poses, engine=engine)
         else:
             from calgraph.rig.options import RigOptions
 

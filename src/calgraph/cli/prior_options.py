@@ -12,14 +12,15 @@ from calgraph.cli.common_options import EARLIER
 from calgraph.errors import InputError
 
 if TYPE_CHECKING:
-    from calgraph.rig.bundle.priors import PriorFile, RigidFile
+    from calgraph.result.prior_file import PriorFile
+    from calgraph.rig.bundle.priors import RigidFile
 
 PriorOption = Annotated[
     Path | None,
     typer.Option(
         "--prior",
         metavar="FILE",
-        help="Board: prior poses: calibration.yaml, URDF, or transforms of tf (YAML).",
+        help="Prior poses (board, drive): calibration.yaml, URDF, or transforms of tf (YAML).",
         rich_help_panel=EARLIER,
     ),
 ]
@@ -60,9 +61,10 @@ def read_priors(
         )
     if not (prior or rigid):
         return None, ()
-    # Modules that only rigs need.
+    # Modules that few calls need.
     from calgraph.result import read_extrinsics
-    from calgraph.rig.bundle.priors import PriorFile, RigidFile
+    from calgraph.result.prior_file import PriorFile
+    from calgraph.rig.bundle.priors import RigidFile
 
     groups = []
     for text in rigid or ():

@@ -10,7 +10,7 @@ ranges depend on incidence. View biases and surfaces are eliminated by group and
 part of the drive; what remains are the errors of the sensors.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -23,6 +23,7 @@ from calgraph.drive.changes import PERIOD, Change, PeriodEquations, find_changes
 from calgraph.drive.clustered_covariance import ClusteredScores, widen_covariance
 from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.drive.surface_points import Association, associate_points, linearize_points
@@ -39,6 +40,8 @@ class AdjustmentPriors:
     the root."""
     shared: Array = field(default_factory=lambda: np.zeros(0))
     """(G,) of the unknowns that measurements of all parts share."""
+    poses: Mapping[int, StatedPose] = field(default_factory=dict)
+    """Of sensors, by number, whose poses are stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +131,7 @@ def adjust_drive(
         H = sum((one.information for one in reduced), np.diag(information))
         deviation = np.concatenate([_deviation(states, start)[free], shared])
         g = sum((one.gradient for one in reduced), deviation * information)
+        _add_stated_poses(H, g, states, priors.poses, free)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
         full[free] = step[:count]
@@ -153,6 +157,19 @@ def adjust_drive(
         shared_stddev=np.sqrt(np.diag(widened)[count:]),
         changes=find_changes(_release_periods(parts, states, noise, associations, priors, start, shared), states),
     )  # fmt: skip
+
+
+def _add_stated_poses(
+    H: Array, g: Array, states: Sequence[SensorState], poses: Mapping[int, StatedPose], free: NDArray[np.bool_]
+) -> None:
+    """Adds errors of states from stated poses, of the axes that are estimated, in place."""
+    columns = np.cumsum(free).reshape(free.shape) - 1
+    for k, stated in poses.items():
+        error = se_n.difference(states[k].T_root_sensor, stated.T)
+        axes = np.flatnonzero(free[k, : len(error)])
+        information = np.linalg.inv(stated.covariance[np.ix_(axes, axes)])
+        H[np.ix_(columns[k, axes], columns[k, axes])] += information
+        g[columns[k, axes]] += information @ error[axes]
 
 
 def _deviation(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:

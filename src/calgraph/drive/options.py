@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.result.prior_file import PriorFile
 
 
 @dataclass(frozen=True)
@@ -11,5 +12,7 @@ class DriveOptions:
 
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
+    prior: PriorFile | None = None
+    """Poses that are known before, with standard deviations above 0."""
     engine: Engine = THIS_PROCESS
     """Where sensors are tracked; does not affect the result."""

@@ -24,9 +24,10 @@ from calgraph.drive.start import MotionStart, StartMotion
 from calgraph.drive.start_heights import add_heights
 from calgraph.drive.start_scanners import place_scanners
 from calgraph.drive.start_tree import choose_lead, solve_starts
+from calgraph.drive.stated_poses import StatedPose, find_wrong_poses, resolve_stated_poses
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
-from calgraph.geometry import se_n
+from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
@@ -83,14 +84,16 @@ def calibrate_sources(
     tracks = _track_sensors(rig, sources, options, progress)
     lead = _select_lead(rig, tracks)
     motions = {name: _select_motion(rig, lead, name) for name in rig.sensors}
-    from_lead = add_heights(solve_starts(lead, tracks, motions, options.seed), lead, sources)
+    stated = resolve_stated_poses(rig, lead, frames, options.prior, dimension_of(rig))
+    from_lead = add_heights(solve_starts(lead, tracks, motions, options.seed), lead, sources, stated)
     rng = np.random.default_rng([options.seed, len(tracks), 3])
     from_lead = place_scanners(from_lead, lead, tracks, sources, rng)
     used = [lead, *(name for name, start in from_lead.items() if isinstance(start, MotionStart))]
     starts = from_lead if lead == rig.root else _express_in_root(rig.root, lead, from_lead)
     if rig.root not in used or not (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
         return assemble_drive(rig, DriveResult([rig.root], frames, starts, None, findings, base=assess_base(rig)))
-    adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, options.seed, progress)
+    adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, stated, options.seed, progress)
+    findings = [*findings, *find_wrong_poses(stated, used, *_list_poses(adjusted))]
     systematic += describe_sensor_errors(rig, used, adjusted)
     root = used.index(rig.root)
     views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
@@ -197,6 +200,7 @@ def _adjust(
     sources: Mapping[str, Source],
     tracks: Mapping[str, Segments | Rejected],
     starts: Mapping[str, MotionStart | Rejected],
+    stated: Mapping[str, StatedPose],
     seed: int,
     progress: Progress,
 ) -> tuple[Adjustment, tuple[EstimatedParameter, ...]]:
@@ -229,7 +233,7 @@ def _adjust(
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
     stddev[0, : 1 - BESIDE_POSE] = 0.0
-    priors = AdjustmentPriors(stddev, shared)
+    priors = AdjustmentPriors(stddev, shared, {used.index(name): stated[name] for name in used if name in stated})
     try:
         adjusted = adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
     except np.linalg.LinAlgError as error:
@@ -238,6 +242,15 @@ def _adjust(
             "where walls and furniture are near"
         ) from error
     return adjusted, state_estimates(described, shared, adjusted.shared, adjusted.shared_stddev)
+
+
+def _list_poses(adjusted: Adjustment) -> tuple[list[Array], list[Array]]:
+    """Poses of all sensors, and their covariances as of independent errors, 0 where nothing is measured."""
+    whole = np.zeros((adjusted.free.size,) * 2)
+    whole[np.ix_(*[np.flatnonzero(adjusted.free)] * 2)] = adjusted.independent_covariance
+    size = adjusted.free.shape[1]
+    starts = [(k * size, k * size + size - BESIDE_POSE) for k in range(len(adjusted.states))]
+    return [state.T_root_sensor for state in adjusted.states], [whole[a:b, a:b] for a, b in starts]
 
 
 def _gather_part(

@@ -8,15 +8,20 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.drive.segments import Segments
 from calgraph.errors import Rejected
 from calgraph.geometry import STDDEV_PER_MAD, Array, plane, se2, se3, se_n
+from calgraph.solver.lagged_correlation import correlate_at_lags
 
 # Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
 _RATE = 50.0
 # Share of the common time in which the turn rates of both are known, for a correlation to count.
 _MIN_KNOWN = 0.1
+# The same of the shorter one, for offsets of clocks of which nothing is known: of a hundred times as many offsets,
+# one agrees by chance.
+_MIN_COMMON = 0.5
 # Relative motions are over this time, s: long against the noise of a sweep, short against the drift of odometry.
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
@@ -89,36 +94,31 @@ StartMotion = Literal["free", "level", "turn"]
 
 
 def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tuple[float, float]:
-    """The offset of the sensor's clock, s, at which turn rates agree best, and their correlation there.
+    """The offset of the sensor's clock, s, at which turn rates agree best, and Pearson's coefficient there.
 
     Args:
         root: trajectory of the root.
         sensor: of the sensor.
-        max_offset: to search within, s.
+        max_offset: to search within, s; where they have no time in common then, at all offsets at which they have
+            half of the shorter one.
     """
-    start = max(root.start, sensor.start - max_offset)
-    end = min(root.end, sensor.end + max_offset)
-    times = np.arange(start, end, 1 / _RATE)
-    own, own_known = root.turn_rates(times)
-    lags = np.arange(-max_offset, max_offset + 0.5 / _RATE, 1 / _RATE)
-    scores = np.zeros(len(lags))
-    for k, lag in enumerate(lags):
-        rates, known = sensor.turn_rates(times + lag)
-        both = own_known & known
-        if both.sum() > _MIN_KNOWN * len(own):
-            scores[k] = _correlate(own[both], rates[both])
+    (own, own_known), (rates, known) = (_sample_rates(one) for one in (root, sensor))
+    for overlap, largest in ((_MIN_KNOWN, max_offset), (_MIN_COMMON, np.inf)):
+        lags, scores = correlate_at_lags(rates, own, overlap, known, own_known)
+        offsets = sensor.start - root.start + lags / _RATE
+        scores, offsets = (one[np.abs(offsets) <= largest] for one in (scores, offsets))
+        if len(scores):
+            break
     best = int(np.argmax(scores))
     shift = 0.0
-    if 0 < best < len(lags) - 1:
+    if 0 < best < len(scores) - 1:
         before, at, after = scores[best - 1 : best + 2]
         shift = 0.5 * float(before - after) / min(float(before - 2 * at + after), -1e-12)
-    return float(lags[best] + shift / _RATE), float(scores[best])
+    return float(offsets[best] + shift / _RATE), float(scores[best])
 
 
-def _correlate(a: Array, b: Array) -> float:
-    """Pearson's coefficient of two signals (M,)."""
-    a, b = a - a.mean(), b - b.mean()
-    return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
+def _sample_rates(track: Segments) -> tuple[Array, NDArray[np.bool_]]:
+    return track.turn_rates(np.arange(track.start, track.end, 1 / _RATE))
 
 
 def solve_start(

@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.sources.source import Source
 from calgraph.drive.start import MotionStart
+from calgraph.drive.stated_poses import StatedPose
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n
 
@@ -21,7 +22,10 @@ _SWEEPS = 40
 
 
 def add_heights(
-    starts: Mapping[str, MotionStart | Rejected], lead: str, sources: Mapping[str, Source]
+    starts: Mapping[str, MotionStart | Rejected],
+    lead: str,
+    sources: Mapping[str, Source],
+    stated: Mapping[str, StatedPose],
 ) -> dict[str, MotionStart | Rejected]:
     """The starts with the heights of LiDARs over what they and the sensor that leads measure below or above them.
 
@@ -29,10 +33,13 @@ def add_heights(
         starts: by sensor; those by motions in the plane are at height 0.
         lead: the sensor that they are against.
         sources: by sensor.
+        stated: poses by sensor, whose heights are taken first.
     """
     root = sources[lead]
     return {
-        name: _add_height(start, start.axis, name, root, source)
+        name: _raise_to(start, start.axis, float(stated[name].T[:3, 3] @ start.axis))
+        if isinstance(start, MotionStart) and start.axis is not None and name in stated
+        else _add_height(start, start.axis, name, root, source)
         if isinstance(start, MotionStart)
         and start.axis is not None
         and isinstance(root, LidarSource)
@@ -57,8 +64,13 @@ def _add_height(
     if share < _MIN_SHARE:
         return Rejected(
             f"the robot turned about one axis only, and {name} and the root do not both measure the floor, which "
-            f"leaves the height of {name} open: drive over ramps, too, or let both measure the floor"
+            f"leaves the height of {name} open: drive over ramps, too, let both measure the floor, "
+            "or state it as a prior"
         )
+    return _raise_to(start, up, height)
+
+
+def _raise_to(start: MotionStart, up: Array, height: float) -> MotionStart:
     T = start.T_root_sensor.copy()
     T[:3, 3] += (height - T[:3, 3] @ up) * up
     return replace(start, T_root_sensor=T)

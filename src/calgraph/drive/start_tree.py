@@ -13,8 +13,6 @@ from calgraph.drive.start import MotionStart, StartMotion, explain_failure, solv
 from calgraph.errors import Rejected
 from calgraph.geometry import se_n
 
-# Least time in which a sensor and the root measure both, s: some twenty relative motions.
-_MIN_COMMON_TIME = 10.0
 # Share of the time that the best trajectory covers, with which the root's is taken: LiDARs start at other times.
 _MIN_COVERAGE = 0.8
 # Largest difference of clocks that is searched for, s.
@@ -74,8 +72,6 @@ def _solve_start(
     """The start pose and clock of a sensor against a trajectory, or why it has none."""
     if isinstance(track, Rejected):
         return track
-    if min(along.end, track.end) - max(along.start, track.start) < _MIN_COMMON_TIME:
-        return Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
     start = solve_start(along, track, _MAX_CLOCK_OFFSET, rng, motion)
     if isinstance(start, Rejected):
         return start

@@ -14,14 +14,11 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, grow_tree
 from calgraph.io.strict_model import StrictModel
 from calgraph.result import ExtrinsicsFile
+from calgraph.result.prior_file import PriorFile
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
 from calgraph.rig.bundle.observations import stack_poses
 from calgraph.rig.captures.detect import CaptureSet
-
-# Of a prior along and about any axis, m² and rad²: a picometre, and the circumference of the Earth. Others are
-# poses that are exact or unknown; their inverses overflow.
-_MIN_VARIANCE, _MAX_VARIANCE = 1e-24, 1e15
 
 Row4 = tuple[float, float, float, float]
 Row6 = tuple[float, float, float, float, float, float]
@@ -51,16 +48,6 @@ class RigidGroup(StrictModel):
         T_by_group = se3.inverse(np.array(self.T_group_sensor[by]))
         for name, T_group_sensor in self.T_group_sensor.items():
             yield name, T_root_by @ T_by_group @ np.array(T_group_sensor) if name != by else T_root_by
-
-
-@dataclass(frozen=True, eq=False)
-class PriorFile:
-    """A file whose poses are priors of all sensors in it."""
-
-    poses: ExtrinsicsFile
-    stddev: tuple[float, float] | None = None
-    """Of every coordinate of a position (m) and of every rotation (rad), 0 and 0 for exact poses; None for the
-    covariances in the file."""
 
 
 @dataclass(frozen=True)
@@ -180,26 +167,11 @@ def _resolve_group(poses: ExtrinsicsFile, sensors: Sequence[str], frames: Mappin
 
 
 def _resolve_prior(file: PriorFile, name: str, root: str, frame: str) -> PosePrior:
-    if file.stddev is None:
-        covariance = file.poses.covariance(root, frame)
-    else:
-        covariance = np.diag(np.repeat(np.square(file.stddev), 3))
-    if not has_inverse(covariance):
-        raise InputError(
-            f"{file.poses.path}: states no covariance of {name}: give standard deviations in m and "
-            "degrees, both above 0, or 0 0 for poses that are exact"
-        )
-    T_root_sensor = file.poses.transform(root, frame).tolist()
+    T_root_sensor, covariance = file.state_pose(name, root, frame)
     return PosePrior(
-        sensor=name, T_root_sensor=T_root_sensor, covariance=covariance.tolist(), source=str(file.poses.path)
-    )
-
-
-def has_inverse(covariance: Array) -> bool:
-    """Whether a covariance (6, 6), m and rad, weights a prior with finite numbers."""
-    if not (np.abs(covariance) <= _MAX_VARIANCE).all():
-        return False
-    return bool(np.linalg.eigvalsh(covariance)[0] >= _MIN_VARIANCE)
+        sensor=name, T_root_sensor=T_root_sensor.tolist(), covariance=covariance.tolist(),
+        source=str(file.poses.path),
+    )  # fmt: skip
 
 
 def _check_groups(groups: Sequence[RigidGroup], rig: Rig) -> None:

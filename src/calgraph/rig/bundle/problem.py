@@ -20,14 +20,8 @@ from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.strict_model import StrictModel
 from calgraph.result.calibration_reading import check_semidefinite, check_symmetric
 from calgraph.result.frame_tree import MAX_DISTANCE
-from calgraph.rig.bundle.priors import (
-    PosePrior,
-    PriorFile,
-    RigidFile,
-    RigidGroup,
-    has_inverse,
-    resolve_prior_poses,
-)
+from calgraph.result.prior_file import PriorFile, has_inverse
+from calgraph.rig.bundle.priors import PosePrior, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detection_tables import DETECTIONS
 from calgraph.rig.pairs.board_matches import Candidates

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from calgraph.config import Rig
@@ -15,6 +14,7 @@ from calgraph.recording.clocks import Clocks, compare_clocks
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
+from calgraph.solver.lagged_correlation import correlate_at_lags
 
 
 @dataclass(frozen=True)
@@ -405,7 +405,7 @@ def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison 
     first, second = (_sample_activity(times, step) for times in pair)
     if min(_count_changes(one, step) for one in (first, second)) < _MIN_CHANGES:
         return None
-    lags, correlation = _correlate(first, second, _MIN_OVERLAP)
+    lags, correlation = correlate_at_lags(first, second, _MIN_OVERLAP)
     offsets = _center(other) - _center(reference) - step * lags.astype(np.float64)
     return _Comparison(offsets[::-1], correlation[::-1], _count_independent(first, second))
 
@@ -435,35 +435,6 @@ def _sample_activity(times: SensorTimes, step: float) -> Array:
     measured = np.concatenate([times.activity[1:2], times.activity[1:]])  # of the first, no change is known
     sampled: Array = np.interp(grid, times.stamps, _rank(measured) / len(measured))
     return sampled
-
-
-def _correlate(first: Array, second: Array, min_overlap: float) -> tuple[NDArray[np.int64], Array]:
-    """Lags of the second behind the first, and the correlation over the overlap at each.
-
-    Only lags at which the overlap has ``min_overlap`` of the shorter one.
-    """
-    first, second = first - first.mean(), second - second.mean()
-    size = next_fast_len(len(first) + len(second) - 1, real=True)
-
-    def sum_products(a: Array, b: Array) -> Array:
-        product = irfft(rfft(a, size) * np.conj(rfft(b, size)), size)
-        rolled: Array = np.roll(product, len(second) - 1)[: len(first) + len(second) - 1]
-        return rolled
-
-    one, two = np.ones_like(first), np.ones_like(second)
-    count = np.round(sum_products(one, two))
-    enough = count >= min_overlap * min(len(first), len(second))
-    n = np.where(enough, count, 1)
-    sums = sum_products(first, two), sum_products(one, second)
-    squares = sum_products(first**2, two), sum_products(one, second**2)
-    variances = [np.maximum(square / n - (total / n) ** 2, 0) for square, total in zip(squares, sums, strict=True)]
-    covariance = sum_products(first, second) / n - sums[0] * sums[1] / n**2
-    scale = np.sqrt(variances[0] * variances[1])
-    # A view without changes in the overlap correlates with nothing.
-    floor = 1e-6 * float(np.sqrt(first.var() * second.var()))
-    correlation = np.where(scale > floor, covariance / np.maximum(scale, 1e-300), 0.0)
-    lags = np.arange(len(count), dtype=np.int64) - (len(second) - 1)
-    return lags[enough], correlation[enough]
 
 
 def _count_independent(first: Array, second: Array) -> float:
