@@ -94,6 +94,13 @@ def test_shells_complete_commands_options_and_choices(typed: str, offered: list[
     assert done.stdout.split() == offered
 
 
+def test_the_module_runs_where_the_command_is_not_on_the_path() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "calgraph", "--help"], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "calibrate" in done.stdout
+
+
 @pytest.mark.parametrize("place", [*COMMANDS.values(), *SIMULATIONS.values()], ids=lambda place: place.function)
 def test_the_list_of_commands_has_the_first_line_of_their_help(place: LazyCommand) -> None:
     assert (place.load().__doc__ or "").splitlines()[0] == place.summary
