@@ -21,9 +21,18 @@ from calgraph.drive.adjustment import (
 )
 from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.points_on_surfaces import (
+    _evaluate,
+    _Evaluated,
+    associate_points,
+    linearize_points,
+    select_inside,
+)
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
-from calgraph.drive.surface_elimination import (
+from calgraph.geometry import Array, se_n
+from calgraph.surfaces.flat_cells import cell_keys
+from calgraph.surfaces.surface_elimination import (
     NoiseModel,
     _Fit,
     _fit_robustly,
@@ -31,16 +40,7 @@ from calgraph.drive.surface_elimination import (
     _robust_weights,
     _view_statistics,
 )
-from calgraph.drive.surface_points import (
-    CELL_LIMITS,
-    _evaluate,
-    _Evaluated,
-    associate_points,
-    linearize_points,
-    select_inside,
-)
-from calgraph.geometry import Array, se_n
-from calgraph.surfaces.flat_cells import cell_keys
+from calgraph.surfaces.surface_points import CELL_LIMITS
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 from drive_scenes import FLAT, beams_in_plane, beams_in_space, drive, scan
 

@@ -13,8 +13,8 @@ from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.assemble import DriveResult, assemble_drive
 from calgraph.drive.start import MotionStart
 from calgraph.drive.states import BESIDE_POSE, SensorState
-from calgraph.drive.surface_elimination import NoiseModel
 from calgraph.result.finding import Finding
+from calgraph.surfaces.surface_elimination import NoiseModel
 
 RIG = Rig.model_validate({
     "root": "front",

@@ -4,12 +4,12 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.points_on_surfaces import associate_points
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
 from calgraph.drive.start_scanners import place_scanners
 from calgraph.drive.states import SensorPoints, SensorState
-from calgraph.drive.surface_points import associate_points
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3

@@ -20,14 +20,14 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.changes import PERIOD, Change, PeriodEquations, find_changes
-from calgraph.drive.clustered_covariance import ClusteredScores, widen_covariance
 from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.points_on_surfaces import Association, associate_points, linearize_points
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import SensorState
-from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
-from calgraph.drive.surface_points import Association, associate_points, linearize_points
 from calgraph.geometry import Array, Index, se_n
+from calgraph.solver.clustered_covariance import ClusteredScores, widen_covariance
+from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
-from calgraph.drive.clustered_covariance import SCATTER_FACTOR
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.result.finding import Finding
+from calgraph.solver.clustered_covariance import SCATTER_FACTOR
 
 # Duration of a period, s: a whole number of views. Errors of points are correlated for about as long.
 PERIOD = 3.0

@@ -6,12 +6,13 @@ import numpy as np
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.points_on_surfaces import Association, linearize_points, select_inside
 from calgraph.drive.start import MotionStart
 from calgraph.drive.states import BESIDE_POSE, SensorState
-from calgraph.drive.surface_points import Association, SurfacePoints, linearize_points, select_inside
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se2, se3, se_n, so3
 from calgraph.result.pictures import DrivePath, DriveStart, DriveView, Pictures
+from calgraph.surfaces.surface_points import SurfacePoints
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 # Points of each sensor that are kept: of 100 cells, 40 each.

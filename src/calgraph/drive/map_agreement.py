@@ -10,10 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.points_on_surfaces import locate_points
 from calgraph.drive.states import SensorState
-from calgraph.drive.surface_points import THICKNESS_PER_GATE, fit_surfaces, locate_points
 from calgraph.geometry import Array
 from calgraph.surfaces.flat_cells import FlatCells
+from calgraph.surfaces.surface_points import THICKNESS_PER_GATE, fit_surfaces
 
 # Distance up to which a point is on a surface, m: that of the last iterations of the joint solution.
 _NEAR = 0.09

@@ -10,11 +10,11 @@ from calgraph.drive.segments import Segments
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.sources.source import Source
 from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION, MotionStart, measure_turns
-from calgraph.drive.surface_points import CELL_LIMITS
 from calgraph.drive.sweeps import Sweep, thin_sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se_n
 from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
+from calgraph.surfaces.surface_points import CELL_LIMITS
 from calgraph.surfaces.trajectory import Track
 
 # Points of each sweep that make surfaces; and points of the scanner.

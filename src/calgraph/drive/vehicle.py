@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from calgraph.drive.adjustment import Adjustment
-from calgraph.drive.floor import axes_from, mean_rotations, measure_level
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2, se3, se_n, so3
+from calgraph.surfaces.floor import axes_from, mean_rotations, measure_level
 
 # Steps in which the heading is taken from the middle, s: knots of trajectories are as dense.
 _STEP = 0.1

@@ -1,1 +1,1 @@
-"""Surfaces of the surroundings, one flat patch per cell, and trajectories as splines."""
+"""Surfaces of the surroundings, one flat patch per cell, points on them, and trajectories as splines."""

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from calgraph.drive.clustered_covariance import ClusteredScores, widen_covariance
 from calgraph.geometry import Array
+from calgraph.solver.clustered_covariance import ClusteredScores, widen_covariance
 
 
 def clusters(scores: Array, time: Array, place: Array) -> ClusteredScores:

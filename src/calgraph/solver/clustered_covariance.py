@@ -1,4 +1,4 @@
-"""The covariance of a drive with errors that belong together: those of one time, and those of one place.
+"""The covariance of a solution with errors that belong together: those of one time, and those of one place.
 
 The adjustment takes view biases as independent. They are not: a pose of the trajectory that is wrong moves all
 points of its time, and furniture, frames and doors mislead all sensors that pass them. Sums of the points'

@@ -1,4 +1,4 @@
-"""Points of a drive on flat patches of its surroundings: residuals with their derivatives."""
+"""Points of a drive on flat patches of its surroundings: which are on which, and their linearization."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -9,42 +9,14 @@ from numpy.typing import NDArray
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import BESIDE_POSE, TIMING, SensorState
 from calgraph.geometry import Array, Index, measure_lengths, se_n
-from calgraph.surfaces.flat_cells import CellLimits, FlatCells, fit_flat_cells, sum_moments_within
+from calgraph.surfaces.flat_cells import FlatCells
+from calgraph.surfaces.surface_points import THICKNESS_PER_GATE, SurfacePoints, fit_surfaces
 
-# Lines need fewer points than planes; a patch must extend far enough for slopes to be determined.
-CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
-# Thickness (standard deviation) up to which a cell is flat at a gate, which then holds 99.7 % of its points.
-THICKNESS_PER_GATE = 1 / 3
 # Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell. On 15 minutes of
 # real scans of an office, 0.5 to 4 s give median errors of 7.4 to 8.9 mm, 0.2 s 10.3, and one view in all 9.9.
 _VIEW_DURATION = 1.0
 # Least cosine of incidence by which it is found where a beam meets a surface: it is metres away at less.
 _MIN_INCIDENCE = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class SurfacePoints:
-    """Points on surfaces, linearized: residuals with their derivatives."""
-
-    sensor: Index
-    """(N,)."""
-    surface: Index
-    """(N,)."""
-    time: Array
-    """(N,) by the root's clock, s."""
-    view: Index
-    """(N,) number of the interval of time in which a sensor measured the point."""
-    residual: Array
-    """(N,) m."""
-    patch: Array
-    """(N, n + 1) 1, the places on the surface in standard deviations, and the cosine of incidence: the derivatives
-    by offset, slopes and relief."""
-    first: Index
-    """(N,) first control point."""
-    by_control: Array
-    """(N, 4 (n + d))."""
-    by_sensor: Array
-    """(N, n + d + 6)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +48,6 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     for cell, inside, found in zip(cells, used, np.split(index, np.cumsum(counts)[:-1]), strict=True):
         cell[inside] = found
     return Association(surfaces, cells)
-
-
-def fit_surfaces(world: Array, view: Index, thickness: float) -> FlatCells:
-    """The cells in which points (N, n) of each view (N,) have a standard deviation of this at most, m."""
-    limits = CELL_LIMITS[world.shape[1]]
-    return fit_flat_cells(sum_moments_within(world, view, limits.cell), limits, thickness)
 
 
 def locate_points(part: DrivePart, k: int, state: SensorState) -> tuple[Array, Index]:

@@ -1,4 +1,4 @@
-"""Elimination of surfaces: normal equations of trajectory and sensors from the points of a part of a drive.
+"""Elimination of surfaces: normal equations of sensors, and of their trajectory, from points.
 
 Points of one sensor on one surface within a second are a view. Each view has a bias, each surface a flat patch
 with a relief; both are linear in the residuals and are eliminated in closed form, view biases first.
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from calgraph.drive.surface_points import SurfacePoints
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se_n
+from calgraph.surfaces.surface_points import SurfacePoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +79,14 @@ _ROBUST = 3.0
 def eliminate_surfaces(
     at: SurfacePoints, surfaces: int, noise: NoiseModel, free: NDArray[np.bool_], controls: int
 ) -> SurfaceEquations:
-    """The normal equations of a part of the drive from its points.
+    """The normal equations of sensors that share surfaces, and of their trajectory, from points of one world.
 
     Args:
         at: the points.
         surfaces: number of surfaces.
         noise: of the points.
-        free: (S, n + d + 6) the parameters of sensors that are estimated.
-        controls: number of control points.
+        free: (S, Q) the parameters of sensors that are estimated.
+        controls: number of control points; 0 of sensors at rest.
     """
     views = _group_points(at, len(free))
     sigma = noise.white[at.sensor]

@@ -1,11 +1,11 @@
-"""The floor below a path, as the points of a drive show it."""
+"""The floor below a path, as points of the surroundings show it."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calgraph.drive.surface_points import CELL_LIMITS
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
+from calgraph.surfaces.surface_points import CELL_LIMITS
 
 # Cells in which floors are recognised, as in the adjustment, and their thickness with waves, m.
 _LIMITS, _THICKNESS = CELL_LIMITS[3], 0.03
