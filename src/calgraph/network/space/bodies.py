@@ -47,7 +47,7 @@ _MAX_WIDTH, _MIN_HEIGHT = 1.1, 0.9
 _NEAR, _NEAR_SHARE = 0.9, 0.15
 # Height of a slice of the upper body whose middle is measured, m: rings of 2° at 7 m.
 _SLICE = 0.25
-# Beside the edges of a silhouette, rad (0.8° and 1.6°): what ends there nearer than this before the body hides it, m.
+# Beside the edges of a silhouette, rad (0.8° and 1.6°): what ends there by this much nearer, m, hides a part.
 _BESIDE, _HIDES = np.radians([0.8, 1.6]), 0.4
 # Bodies behind others whose silhouettes come this near to theirs are hidden in part, rad (0.6°).
 _HIDDEN = float(np.radians(0.6))
@@ -90,7 +90,7 @@ def find_bodies(moving: MovingPoints, T_floor_sensor: Array, view: StaticView) -
     middle, slices = _find_middles(bearing, number, np.floor(body[:, 2] / _SLICE).astype(np.intp))
     in_order = np.lexsort((distance, number))
     near_surface = distance[in_order[firsts + n // 2]]
-    azimuth = heading + middle
+    azimuth = heading + np.nan_to_num(middle)
     center = np.column_stack([near_surface * np.cos(azimuth), near_surface * np.sin(azimuth), mean[:, 2]])
     edges = np.stack([np.minimum.reduceat(bearing, firsts), np.maximum.reduceat(bearing, firsts)], axis=1)
     bodies = Bodies(
@@ -120,7 +120,8 @@ def _cluster(points: Array, sweep: Index) -> Index:
     """(P,) number of the body of each point (P, 2), ascending in sweep."""
     cell = np.floor(points / _CELL).astype(np.int64)
     # Wide enough that neighbours never reach the next row or sweep.
-    low, width = cell.min(axis=0, initial=0) - _REACH, np.ptp(cell, axis=0, initial=0) + 4 * _REACH + 2
+    low = cell.min(axis=0, initial=0) - _REACH
+    width = cell.max(axis=0, initial=0) - low + 2 * _REACH + 1
     key = (sweep.astype(np.int64) * width[0] + cell[:, 0] - low[0]) * width[1] + cell[:, 1] - low[1]
     occupied, of_point = np.unique(key, return_inverse=True)
     ends = []
@@ -147,7 +148,7 @@ def _find_seams(times: Array, label: Index, duration: float) -> NDArray[np.bool_
     return seam
 
 
-def _find_middles(bearing: Array, number: Index, height: Index) -> tuple[Array, Array]:
+def _find_middles(bearing: Array, number: Index, height: Index) -> tuple[Array, Index]:
     """The mean middle (C,) of the slices of each body, rad, NaN where none has two points; and their count."""
     order = np.lexsort((bearing, height, number))
     slice_ = number[order] * 64 + height[order]
@@ -159,7 +160,7 @@ def _find_middles(bearing: Array, number: Index, height: Index) -> tuple[Array, 
     weight = np.where(n >= 2, n, 0).astype(np.float64)
     total = np.bincount(of, weight)
     with np.errstate(invalid="ignore"):
-        return np.bincount(of, weight * middle) / total, np.bincount(of, weight > 0)
+        return np.bincount(of, weight * middle) / total, np.bincount(of[weight > 0], minlength=len(total))
 
 
 def _mark_neighbors(bodies: Bodies, edges: Array, T_floor_sensor: Array, view: StaticView) -> Bodies:
@@ -181,10 +182,10 @@ def _mark_neighbors(bodies: Bodies, edges: Array, T_floor_sensor: Array, view: S
     for side, sign in ((0, -1.0), (1, 1.0)):
         for beside in _BESIDE:
             azimuth = edges[:, side] + sign * beside
-            levelled = np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), bodies.centers[:, 2]])
+            levelled = np.column_stack(
+                [distance * np.cos(azimuth), distance * np.sin(azimuth), bodies.centers[:, 2]]
+            )
             levelled -= T_floor_sensor[:3, 3]
             static = view.look_up(levelled @ T_floor_sensor[:3, :3])
             whole &= static > np.linalg.norm(levelled, axis=1) - _HIDES
-    return Bodies(
-        bodies.sweep, bodies.times, bodies.centers, bodies.stddev, bodies.counts, alone, whole
-    )
+    return Bodies(bodies.sweep, bodies.times, bodies.centers, bodies.stddev, bodies.counts, alone, whole)

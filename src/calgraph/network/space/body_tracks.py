@@ -83,7 +83,9 @@ def _cut(members: NDArray[np.intp], bodies: Bodies) -> list[NDArray[np.intp]]:
     return [part[ascending[k]] for part, k in _split(members, breaks) if len(part)]
 
 
-def _split(members: NDArray[np.intp], breaks: NDArray[np.bool_]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _split(
+    members: NDArray[np.intp], breaks: NDArray[np.bool_]
+) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     cuts = np.flatnonzero(breaks) + 1
     return list(zip(np.split(members, cuts), np.split(np.arange(len(members)), cuts), strict=True))
 

@@ -29,7 +29,7 @@ class Floor:
     """(N,) which static points are of it."""
 
 
-# Sweeps of which bodies are taken, and the largest gap in a body, m: neighbouring rings of 2° at 12 m are 0.42 m apart.
+# Sweeps of which bodies are taken, and the largest gap in a body, m: rings of 2° are 0.42 m apart at 12 m.
 _BODY_SWEEPS, _BODY_GAP = 150, 0.5
 # Least points and length of a body, m, whose axis counts, its largest length, and least ratio of its variances
 # along and across: a body is 1.5 m high and 0.5 m wide.
@@ -47,7 +47,7 @@ _MIN_STANDING, _STANDING = 0.8, (-0.3, 2.2)
 _MIN_TOP = 0.9
 # Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
 _GATES = (0.08, 0.06, 0.045, 0.045, 0.045)
-# Edge of cells of the floor that count equally, of blocks whose errors are independent, m, and their least numbers.
+# Edge of cells of the floor that count equally, and of blocks whose errors are independent, m; least numbers.
 _FLOOR_CELL, _BLOCK, _MIN_CELLS, _MIN_BLOCKS = 1.0, 3.0, 12, 4
 # Standard deviation of a block of floor about the plane, m, at least: floors are flat to some millimetres.
 _RELIEF = 0.003
@@ -144,10 +144,12 @@ def _adjust_floor(points: Array, start: Array, range_bias: float, ring_bias: flo
         gain = np.linalg.solve(A.T @ A, A.T)
         slope_x, slope_y, level_error = gain @ mean[:, 2]
         normal = np.array([-slope_x, -slope_y, 1.0])
-        corrected = plane.towards_origin(np.append(normal, -level_error) / np.linalg.norm(normal))
+        corrected = np.asarray(np.append(normal, -level_error) / np.linalg.norm(normal), dtype=np.float64)
         T = level(plane.transform(np.linalg.inv(T), corrected))
     residual = mean[:, 2] - A @ (gain @ mean[:, 2])
-    return Floor(T, _find_stddev(points[inside], T, gain, residual, (cell, share, block), range_bias, ring_bias), inside)
+    return Floor(
+        T, _find_stddev(points[inside], T, gain, residual, (cell, share, block), range_bias, ring_bias), inside
+    )
 
 
 def _find_stddev(
@@ -177,7 +179,7 @@ def _find_stddev(
 
 
 def level(floor: Array) -> Array:
-    """The pose (4, 4) of a sensor over a floor (4,) in its frame: z is up, x that of the sensor as far as level."""
+    """The pose (4, 4) of a sensor over a floor (4,) in its frame: z is up, x the sensor's as far as level."""
     up = floor[:3]
     ahead = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < _MAX_UPRIGHT else np.array([0.0, 1.0, 0.0])
     x = ahead - up * (up @ ahead)

@@ -35,9 +35,7 @@ def observe_clouds(
     split = splitter.finish()
     if split is None:
         return Rejected("no cloud has any point")
-    floor = find_floor(
-        split.static, split.moving, spec.uncertainty.range_bias, spec.uncertainty.ring_bias, rng
-    )
+    floor = find_floor(split.static, split.moving, spec.uncertainty.range_bias, spec.uncertainty.ring_bias, rng)
     if isinstance(floor, Rejected):
         return floor
     bodies = find_bodies(split.moving, floor.T_floor_sensor, split.view)

@@ -104,7 +104,9 @@ class _Part:
 
 
 def _join(parts: Sequence[_Part]) -> _Part:
-    return _Part(*(np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True)))
+    return _Part(
+        *(np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True))
+    )
 
 
 class CloudSplitter:
@@ -233,9 +235,9 @@ def _find_moving(histogram: NDArray[np.int32], share: float) -> NDArray[np.bool_
 
 def _fill_view(cells: Index, ranges: Array) -> StaticView:
     """The ranges of measured cells, and of those between them."""
-    image = np.full(_ELEVATIONS * _AZIMUTHS, np.nan)
-    image[cells] = ranges
-    image = image.reshape(_ELEVATIONS, _AZIMUTHS)
+    flat = np.full(_ELEVATIONS * _AZIMUTHS, np.nan)
+    flat[cells] = ranges
+    image = flat.reshape(_ELEVATIONS, _AZIMUTHS)
     distance, nearest = distance_transform_edt(np.isnan(image), return_indices=True)
     return StaticView(np.where(distance <= _FILLED_CELLS, image[tuple(nearest)], np.nan))
 
