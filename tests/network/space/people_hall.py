@@ -109,7 +109,7 @@ def simulate_clouds(hall: Hall, lidar: Lidar, duration: float, rng: np.random.Ge
             _cast_person(person, origin, directions, start + times, ranges)
         ranges += lidar.range_stddev * rng.normal(size=len(ranges))
         kept = rng.uniform(size=len(ranges)) > 0.02
-        points = (lidar.directions * ranges[:, None])[kept].astype(np.float32)
+        points = (lidar.directions * ranges[:, None])[kept].astype(np.float64)
         yield PointCloud(1000 + start + lidar.clock, "lidar", points, times=times[kept])
 
 

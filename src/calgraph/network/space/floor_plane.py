@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, Index, plane
+from calgraph.geometry import Array, Index, plane, se3
 from calgraph.network.space.observations import StaticPoints
 from calgraph.network.space.static_directions import MovingPoints, find_rows
 from calgraph.solver.connected_parts import label_parts
@@ -41,8 +41,9 @@ _MIN_COSINE = float(np.cos(np.radians(35)))
 _CUBE, _TRIPLES = 0.5, 3000
 # Distance of points from a plane that they support, m: relief, and 2° of range noise.
 _SUPPORT = 0.05
-# Least share of moving points from below a floor (m) to the height of a tall person over it (m), and what their
-# 90 % quantile is at least: people, not their legs only.
+# Least height of a sensor, m; points of bodies that are compared with planes; their least share from below a floor
+# to the height of a tall person over it, m, and their least 90 % quantile: people, not their legs only.
+_MIN_HEIGHT, _COMPARED = 1.0, 2000
 _MIN_STANDING, _STANDING = 0.8, (-0.3, 2.2)
 _MIN_TOP = 0.9
 # Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
@@ -65,20 +66,21 @@ def find_floor(
         ring_bias: the same of each ring beside it, m.
         rng: for the triples of points.
     """
-    axis = find_upright_axis(moving)
-    if isinstance(axis, Rejected):
-        return axis
-    start = _search_plane(static.points, moving.points, axis, rng)
+    upright = find_upright_bodies(moving)
+    if isinstance(upright, Rejected):
+        return upright
+    axis, bodies = upright
+    start = _search_plane(static.points, bodies, axis, rng)
     if start is None:
         return Rejected("no plane below the sensor is one on which the people whom it measured stand")
     return _adjust_floor(static.points, start, range_bias, ring_bias)
 
 
-def find_upright_axis(moving: MovingPoints) -> Array | Rejected:
-    """The unit axis (3,) along which most moving bodies are long, of any sign."""
+def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:
+    """The unit axis (3,) along which most moving bodies are long, of any sign, and the points (P, 3) of these."""
     bounds = np.flatnonzero(np.diff(moving.sweep, prepend=-1, append=-1))
     chosen = np.unique(np.linspace(0, max(len(bounds) - 2, 0), _BODY_SWEEPS).astype(np.intp))
-    axes = []
+    axes, bodies = [], []
     for k in chosen[: len(bounds) - 1]:
         points = moving.points[bounds[k] : bounds[k + 1]]
         label = label_parts(len(points), cKDTree(points).query_pairs(_BODY_GAP, output_type="ndarray"))
@@ -89,20 +91,22 @@ def find_upright_axis(moving: MovingPoints) -> Array | Rejected:
             low, high = _BODY_LENGTH
             if low <= np.ptp(along) <= high and values[2] >= _BODY_RATIO * values[1]:
                 axes.append(vectors[:, 2])
+                bodies.append(of_body)
     if len(axes) < _MIN_BODIES:
         return Rejected(
             f"people are in {len(axes)} of the compared sweeps only, {_MIN_BODIES} are needed: let people walk in "
             "its view"
         )
-    of_bodies = np.array(axes)
+    of_bodies: Array = np.array(axes)
     mean = np.linalg.eigh(of_bodies.T @ of_bodies)[1][:, 2]
     # Once more without those that are not upright: edges of doors, and people who bend.
     upright = np.abs(of_bodies @ mean) >= _MIN_COSINE
-    return np.asarray(np.linalg.eigh(of_bodies[upright].T @ of_bodies[upright])[1][:, 2])
+    axis = np.linalg.eigh(of_bodies[upright].T @ of_bodies[upright])[1][:, 2]
+    return axis, np.concatenate([bodies[k] for k in np.flatnonzero(upright)])
 
 
-def _search_plane(static: Array, moving: Array, axis: Array, rng: np.random.Generator) -> Array | None:
-    """The plane (4,) with the most support of those on which what moves stands; None where there is none."""
+def _search_plane(static: Array, bodies: Array, axis: Array, rng: np.random.Generator) -> Array | None:
+    """The plane (4,) with the most support of those on which bodies stand; None where there is none."""
     cube = np.floor(static / _CUBE).astype(np.int64)
     thinned = static[np.unique(cube, axis=0, return_index=True)[1]]
     if len(thinned) < _MIN_CELLS:
@@ -113,7 +117,8 @@ def _search_plane(static: Array, moving: Array, axis: Array, rng: np.random.Gene
     normal = normal[length > 1.0] / length[length > 1.0, None]
     planes = np.column_stack([normal, -np.einsum("ij,ij->i", normal, a[length > 1.0])])
     planes = plane.towards_origin(planes[np.abs(normal @ axis) >= _MIN_COSINE])
-    sample = moving[:: max(1, len(moving) // 2000)]
+    planes = planes[planes[:, 3] >= _MIN_HEIGHT]
+    sample = bodies[:: max(1, len(bodies) // _COMPARED)]
     heights = plane.distance(planes, sample)
     low, high = _STANDING
     standing = np.mean((heights > low) & (heights < high), axis=1) >= _MIN_STANDING
@@ -144,8 +149,8 @@ def _adjust_floor(points: Array, start: Array, range_bias: float, ring_bias: flo
         gain = np.linalg.solve(A.T @ A, A.T)
         slope_x, slope_y, level_error = gain @ mean[:, 2]
         normal = np.array([-slope_x, -slope_y, 1.0])
-        corrected = np.asarray(np.append(normal, -level_error) / np.linalg.norm(normal), dtype=np.float64)
-        T = level(plane.transform(np.linalg.inv(T), corrected))
+        corrected = np.array([*normal, -level_error], dtype=np.float64) / np.linalg.norm(normal)
+        T = level(plane.transform(se3.inverse(T), corrected))
     residual = mean[:, 2] - A @ (gain @ mean[:, 2])
     return Floor(
         T, _find_stddev(points[inside], T, gain, residual, (cell, share, block), range_bias, ring_bias), inside

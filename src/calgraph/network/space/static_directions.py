@@ -18,8 +18,9 @@ from calgraph.sensors import PointCloud
 # Edge of a cell, rad (0.4°): less than the distance of rings of most LiDARs, and at least one beam of a sweep.
 _CELL = float(np.radians(0.4))
 _AZIMUTHS, _ELEVATIONS = round(2 * np.pi / _CELL), round(np.pi / _CELL)
-# Nearer points are of the mounting, m; farther ones meet people with too few beams.
-_MIN_RANGE, _MAX_RANGE = 0.5, 80.0
+# Nearer points are of the mounting, m; farther ones meet people with too few beams. People are farther than twice
+# that: the wall that carries a sensor is measured now and then only, where it is at the limit.
+_MIN_RANGE, _MAX_RANGE, _MIN_MOVING = 0.5, 80.0, 1.0
 # A bin of ranges is 0.12 m wide at 0 m, and 1.2 % wider by each metre: the same in logarithms of (10 m + range).
 _BIN_STRETCH, _BIN_ORIGIN = 1 / 0.012, 10.0
 _BINS = int(np.log1p(_MAX_RANGE / _BIN_ORIGIN) * _BIN_STRETCH) + 3
@@ -138,7 +139,7 @@ class CloudSplitter:
             self._slot[new] = np.arange(len(self._cells), len(self._cells) + len(new))
             self._cells = np.append(self._cells, new)
             slot = self._slot[cell]
-        bin_ = (np.log1p(ranges / np.float32(_BIN_ORIGIN)) * np.float32(_BIN_STRETCH)).astype(np.int32) + 1
+        bin_ = _to_bins(ranges)
         sweep = np.full(len(points), len(self._spans), dtype=np.int32)
         self._held.append(_Part(points, times, sweep, slot, bin_))
         self._spans.append((cloud.stamp, float(times.min()), float(times.max())))
@@ -216,6 +217,12 @@ def _find_cells(points: Array | NDArray[np.float32], ranges: Array | NDArray[np.
     return np.asarray(cell)
 
 
+def _to_bins(ranges: Array | NDArray[np.float32]) -> NDArray[np.int32]:
+    """(N,) the bins of ranges, from 1."""
+    scale, origin = ranges.dtype.type(_BIN_STRETCH), ranges.dtype.type(_BIN_ORIGIN)
+    return np.asarray(np.log1p(ranges / origin) * scale, dtype=np.int32) + 1
+
+
 def _smooth(histogram: NDArray[np.int32]) -> NDArray[np.int32]:
     """Sums over three bins, (S, B): surfaces at the edge of a bin, and those at an angle, fill several."""
     sums = histogram.copy()
@@ -229,8 +236,10 @@ def _find_moving(histogram: NDArray[np.int32], share: float) -> NDArray[np.bool_
     count = histogram.sum(axis=1)
     usual = np.median(count[count > 0]) if count.any() else 0.0
     static = _smooth(histogram) >= np.maximum(share * np.maximum(count, _LEAST_COUNT * usual), 1)[:, None]
-    static_or_beyond = ~np.logical_or.accumulate(static[:, ::-1], axis=1)[:, ::-1] & static.any(axis=1)[:, None]
-    return np.asarray(~(static | static_or_beyond))
+    beyond = ~np.logical_or.accumulate(static[:, ::-1], axis=1)[:, ::-1] & static.any(axis=1)[:, None]
+    moving = ~(static | beyond)
+    moving[:, : int(_to_bins(np.array([_MIN_MOVING]))[0]) + 1] = False
+    return np.asarray(moving)
 
 
 def _fill_view(cells: Index, ranges: Array) -> StaticView:
