@@ -42,7 +42,7 @@ _CELL, _REACH = 0.15, 2
 _MIN_POINTS, _MIN_UPPER = 6, 4
 # What is wider is several people, or a vehicle, m; what ends lower than this is no person.
 _MAX_WIDTH, _MIN_HEIGHT = 1.1, 0.9
-# Distance below which bodies are not told apart safely, m: two people who touch; and least share of the other's
+# Distance below which bodies are hard to distinguish, m: two people who touch; and least share of the other's
 # points, of what is more than an arm of it.
 _NEAR, _NEAR_SHARE = 0.9, 0.15
 # Height of a slice of the upper body whose middle is measured, m: rings of 2° at 7 m.

@@ -1,7 +1,7 @@
 """The floor of a stationary 3-D LiDAR: the plane below it on which people stand.
 
-People are upright: the long axes of what moves are near the vertical, which tells floors from walls. Their heights
-over a plane tell a floor from ceilings and tables.
+People are upright: the long axes of what moves are near the vertical, which distinguishes floors from walls. Their heights
+over a plane distinguish a floor from ceilings and tables.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ _BODY_POINTS, _BODY_LENGTH, _BODY_RATIO = 12, (0.8, 2.3), 4.0
 _MIN_BODIES = 15
 # Largest angle of a floor's normal from the mean axis of bodies, of which sensors above measure heads and fronts.
 _MIN_COSINE = float(np.cos(np.radians(35)))
-# Static points are thinned to one in each cube of this edge, m, and planes laid through triples of them.
+# Static points are thinned to one in each cube of this edge, m, and planes fitted through triples of them.
 _CUBE, _TRIPLES = 0.5, 3000
 # Distance of points from a plane that they support, m: relief, and 2° of range noise.
 _SUPPORT = 0.05

@@ -19,7 +19,7 @@ from calgraph.sensors import PointCloud
 _CELL = float(np.radians(0.4))
 _AZIMUTHS, _ELEVATIONS = round(2 * np.pi / _CELL), round(np.pi / _CELL)
 # Nearer points are of the mounting, m; farther ones meet people with too few beams. People are farther than twice
-# that: the wall that carries a sensor is measured now and then only, where it is at the limit.
+# that: the wall that carries a sensor is measured sometimes only, where it is at the limit.
 _MIN_RANGE, _MAX_RANGE, _MIN_MOVING = 0.5, 80.0, 1.0
 # A bin of ranges is 0.12 m wide at 0 m, and 1.2 % wider by each metre: the same in logarithms of (10 m + range).
 _BIN_STRETCH, _BIN_ORIGIN = 1 / 0.012, 10.0
