@@ -1,7 +1,7 @@
 """The floor of a stationary 3-D LiDAR: the plane below it on which people stand.
 
-People are upright: the long axes of what moves are near the vertical, which distinguishes floors from walls. Their heights
-over a plane distinguish a floor from ceilings and tables.
+People are upright: the long axes of what moves are near the vertical, which distinguishes floors from walls. Their
+heights over a plane distinguish a floor from ceilings and tables.
 """
 
 from dataclasses import dataclass
