@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.config import Lidar2dSpec, Rig
+from calgraph.config import Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.errors import Rejected
 from calgraph.graph.averaging import select_averaging
@@ -114,7 +114,9 @@ def _stated_mountings(rig: Rig, earlier: Calibration | None) -> dict[str, bool]:
     stated = {s.name: bool(s.T_root_sensor[2, 2] < 0) for s in earlier.sensors} if earlier else {}
     mountings = {name: s.mounting for name, s in rig.sensors.items() if isinstance(s, Lidar2dSpec) and s.mounting}
     of_root = mountings.get(rig.root, "upright")
-    return {**stated, **{name: mounting != of_root for name, mounting in mountings.items()}}
+    # Tracks of LiDARs in space are levelled by their floor.
+    levelled = {name: False for name, s in rig.sensors.items() if isinstance(s, Lidar3dSpec)}
+    return {**stated, **{name: mounting != of_root for name, mounting in mountings.items()}, **levelled}
 
 
 def _find_differences(

@@ -150,7 +150,7 @@ def track_runs(
     identities = [
         members
         for members in associate(objects, center_sigma, settings.acceleration_density)
-        if _is_moving_target(objects, members, settings.motion)
+        if is_moving_target(objects, members, settings.motion)
     ]
     segments = split_into_periods(identities, objects.scan, objects.times)
     velocities = _estimate_velocities(objects, segments, target, sigma, settings)
@@ -183,7 +183,7 @@ def track_runs(
 _TRAVEL_QUANTILE = 0.05
 
 
-def _is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:
+def is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:
     """Whether an identity moved like a walking person, rather than stood or flickered."""
     duration = objects.times[members[-1]] - objects.times[members[0]]
     if len(members) < settings.min_detections or duration < settings.min_duration:

@@ -1,0 +1,199 @@
+"""The floor of a stationary 3-D LiDAR: the plane below it on which people stand.
+
+People are upright: the long axes of what moves are near the vertical, which distinguishes floors from walls. Their
+heights over a plane distinguish a floor from ceilings and tables.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, Index, plane, se3
+from calgraph.network.space.observations import StaticPoints
+from calgraph.network.space.static_directions import MovingPoints, find_rows
+from calgraph.solver.connected_parts import label_parts
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """The floor in the frame of its sensor."""
+
+    T_floor_sensor: Array
+    """(4, 4) levelled; x, y and yaw are zero."""
+    stddev: Array
+    """(3,) of roll and pitch, rad, and height, m."""
+    points: NDArray[np.bool_]
+    """(N,) which static points are of it."""
+
+
+# Sweeps of which bodies are taken, and the largest gap in a body, m: rings of 2° are 0.42 m apart at 12 m.
+_BODY_SWEEPS, _BODY_GAP = 150, 0.5
+# Least points and length of a body, m, whose axis counts, its largest length, and least ratio of its variances
+# along and across: a body is 1.5 m high and 0.5 m wide.
+_BODY_POINTS, _BODY_LENGTH, _BODY_RATIO = 12, (0.8, 2.3), 4.0
+_MIN_BODIES = 15
+# Largest angle of a floor's normal from the mean axis of bodies, of which sensors above measure heads and fronts.
+_MIN_COSINE = float(np.cos(np.radians(35)))
+# Static points are thinned to one in each cube of this edge, m, and planes fitted through triples of them.
+_CUBE, _TRIPLES = 0.5, 3000
+# Distance of points from a plane that they support, m: relief, and 2° of range noise.
+_SUPPORT = 0.05
+# Least height of a sensor, m; points of bodies that are compared with planes; their least share from below a floor
+# to the height of a tall person over it, m, and their least 90 % quantile: people, not their legs only.
+_MIN_HEIGHT, _COMPARED = 1.0, 2000
+_MIN_STANDING, _STANDING = 0.8, (-0.3, 2.2)
+_MIN_TOP = 0.9
+# Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
+_GATES = (0.08, 0.06, 0.045, 0.045, 0.045)
+# Edge of cells of the floor that count equally, and of blocks whose errors are independent, m; least numbers.
+_FLOOR_CELL, _BLOCK, _MIN_CELLS, _MIN_BLOCKS = 1.0, 3.0, 12, 4
+# Standard deviation of a block of floor about the plane, m, at least: floors are flat to some millimetres.
+_RELIEF = 0.003
+
+
+def find_floor(
+    static: StaticPoints, moving: MovingPoints, range_bias: float, ring_bias: float, rng: np.random.Generator
+) -> Floor | Rejected:
+    """Finds the floor.
+
+    Args:
+        static: what stands still.
+        moving: what moves.
+        range_bias: standard deviation of the sensor's common range bias, m.
+        ring_bias: the same of each ring beside it, m.
+        rng: for the triples of points.
+    """
+    upright = find_upright_bodies(moving)
+    if isinstance(upright, Rejected):
+        return upright
+    axis, bodies = upright
+    start = _search_plane(static.points, bodies, axis, rng)
+    if start is None:
+        return Rejected("no plane below the sensor is one on which the people whom it measured stand")
+    return _adjust_floor(static.points, start, range_bias, ring_bias)
+
+
+def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:
+    """The unit axis (3,) along which most moving bodies are long, of any sign, and the points (P, 3) of these."""
+    bounds = np.flatnonzero(np.diff(moving.sweep, prepend=-1, append=-1))
+    chosen = np.unique(np.linspace(0, max(len(bounds) - 2, 0), _BODY_SWEEPS).astype(np.intp))
+    axes, bodies = [], []
+    for k in chosen[: len(bounds) - 1]:
+        points = moving.points[bounds[k] : bounds[k + 1]]
+        label = label_parts(len(points), cKDTree(points).query_pairs(_BODY_GAP, output_type="ndarray"))
+        for body in np.flatnonzero(np.bincount(label) >= _BODY_POINTS):
+            of_body = points[label == body]
+            values, vectors = np.linalg.eigh(np.cov(of_body.T))
+            along = of_body @ vectors[:, 2]
+            low, high = _BODY_LENGTH
+            if low <= np.ptp(along) <= high and values[2] >= _BODY_RATIO * values[1]:
+                axes.append(vectors[:, 2])
+                bodies.append(of_body)
+    if len(axes) < _MIN_BODIES:
+        return Rejected(
+            f"people are in {len(axes)} of the compared sweeps only, {_MIN_BODIES} are needed: let people walk in "
+            "its view"
+        )
+    of_bodies: Array = np.array(axes)
+    mean = np.linalg.eigh(of_bodies.T @ of_bodies)[1][:, 2]
+    # Once more without those that are not upright: edges of doors, and people who bend.
+    upright = np.abs(of_bodies @ mean) >= _MIN_COSINE
+    axis = np.linalg.eigh(of_bodies[upright].T @ of_bodies[upright])[1][:, 2]
+    return axis, np.concatenate([bodies[k] for k in np.flatnonzero(upright)])
+
+
+def _search_plane(static: Array, bodies: Array, axis: Array, rng: np.random.Generator) -> Array | None:
+    """The plane (4,) with the most support of those on which bodies stand; None where there is none."""
+    cube = np.floor(static / _CUBE).astype(np.int64)
+    thinned = static[np.unique(cube, axis=0, return_index=True)[1]]
+    if len(thinned) < _MIN_CELLS:
+        return None
+    a, b, c = thinned[rng.integers(len(thinned), size=(3, _TRIPLES))]
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    normal = normal[length > 1.0] / length[length > 1.0, None]
+    planes = np.column_stack([normal, -np.einsum("ij,ij->i", normal, a[length > 1.0])])
+    planes = plane.towards_origin(planes[np.abs(normal @ axis) >= _MIN_COSINE])
+    planes = planes[planes[:, 3] >= _MIN_HEIGHT]
+    sample = bodies[:: max(1, len(bodies) // _COMPARED)]
+    heights = plane.distance(planes, sample)
+    low, high = _STANDING
+    standing = np.mean((heights > low) & (heights < high), axis=1) >= _MIN_STANDING
+    standing[standing] &= np.quantile(heights[standing], 0.9, axis=1) >= _MIN_TOP
+    planes = planes[standing]
+    if not len(planes):
+        return None
+    support = np.array([np.sum(np.abs(plane.distance(one, thinned)) < _SUPPORT) for one in planes])
+    return np.asarray(planes[np.argmax(support)])
+
+
+def _adjust_floor(points: Array, start: Array, range_bias: float, ring_bias: float) -> Floor | Rejected:
+    """The plane by least squares over cells of floor, with standard deviations by blocks of them."""
+    T = level(start)
+    for gate in _GATES:
+        levelled = points @ T[:3, :3].T + T[:3, 3]
+        inside = np.abs(levelled[:, 2]) < gate
+        floor = levelled[inside]
+        _, cell, count = np.unique(
+            np.floor(floor[:, :2] / _FLOOR_CELL), axis=0, return_inverse=True, return_counts=True
+        )
+        share = 1 / count[cell]
+        mean = np.stack([np.bincount(cell, share * column) for column in floor.T], axis=1)
+        A = np.column_stack([mean[:, :2], np.ones(len(mean))])
+        block = np.unique(np.floor(mean[:, :2] / _BLOCK), axis=0, return_inverse=True)[1]
+        if len(mean) < _MIN_CELLS or block.max() + 1 < _MIN_BLOCKS:
+            return Rejected(f"it measured {len(mean)} m² of floor only: too little to level it")
+        gain = np.linalg.solve(A.T @ A, A.T)
+        slope_x, slope_y, level_error = gain @ mean[:, 2]
+        normal = np.array([-slope_x, -slope_y, 1.0])
+        corrected = np.array([*normal, -level_error], dtype=np.float64) / np.linalg.norm(normal)
+        T = level(plane.transform(se3.inverse(T), corrected))
+    residual = mean[:, 2] - A @ (gain @ mean[:, 2])
+    return Floor(
+        T, _find_stddev(points[inside], T, gain, residual, (cell, share, block), range_bias, ring_bias), inside
+    )
+
+
+def _find_stddev(
+    points: Array,
+    T: Array,
+    gain: Array,
+    residual: Array,
+    cells: tuple[Index, Array, Index],
+    range_bias: float,
+    ring_bias: float,
+) -> Array:
+    """(3,) of roll, pitch and height: from blocks' residuals, and from biases of ranges and rings."""
+    cell, share, block = cells
+    blocks = block.max() + 1
+    influence = np.stack([np.bincount(block, row * residual) for row in gain])
+    relief = np.stack([np.bincount(block, row) for row in gain])
+    variance = np.sum(influence**2, axis=1) * blocks / (blocks - 3) + _RELIEF**2 * np.sum(relief**2, axis=1)
+    # By how much a longer range lowers a point.
+    lowers = points @ T[2, :3] / np.linalg.norm(points, axis=1)
+    weighted = gain[:, cell] * (share * lowers)
+    variance += range_bias**2 * weighted.sum(axis=1) ** 2
+    ring = np.unique(find_rows(points), return_inverse=True)[1]
+    for k in range(3):
+        variance[k] += ring_bias**2 * np.sum(np.bincount(ring, weighted[k]) ** 2)
+    slope_x, slope_y, height = np.sqrt(variance)
+    return np.array([slope_y, slope_x, height])
+
+
+def level(floor: Array) -> Array:
+    """The pose (4, 4) of a sensor over a floor (4,) in its frame: z is up, x the sensor's as far as level."""
+    up = floor[:3]
+    ahead = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < _MAX_UPRIGHT else np.array([0.0, 1.0, 0.0])
+    x = ahead - up * (up @ ahead)
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = [x, np.cross(up, x), up]
+    T[2, 3] = floor[3]
+    return T
+
+
+# Cosine of the angle between x and the vertical, above which y is the heading (2.6°).
+_MAX_UPRIGHT = 0.999

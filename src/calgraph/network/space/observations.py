@@ -1,0 +1,53 @@
+"""What one stationary 3-D LiDAR measured: its floor, static points, and tracks of bodies."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, Index
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPoints:
+    """What stands still: one point for each direction, over the whole recording."""
+
+    points: Array
+    """(N, 3) sensor frame, m: at the median range of the direction."""
+    stddev: Array
+    """(N,) of a single range about it, m."""
+    count: Index
+    """(N,) measurements of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTrack:
+    """One person, or cart, in one sensor over an interval without a break."""
+
+    times: Array
+    """(T,) s, by the sensor's clock: mean time of its points."""
+    centers: Array
+    """(T, 3) sensor frame, m: the middle of the silhouette of the upper body at the median horizontal range of its
+    front surface, at the mean height of its points."""
+    radial_stddev: Array
+    """(T,) first guess, m."""
+    tangential_stddev: Array
+    """(T,) first guess, m."""
+    counts: Index
+    """(T,) points."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceObservations:
+    """Of one sensor."""
+
+    T_floor_sensor: Array
+    """(4, 4) levelled: roll, pitch, and height over its floor; x, y and yaw are zero."""
+    floor_stddev: Array
+    """(3,) of roll and pitch, rad, and height, m."""
+    static: StaticPoints
+    floor_points: NDArray[np.bool_]
+    """(N,) which static points are of the floor."""
+    tracks: tuple[BodyTrack, ...]
+    coverage: Array
+    """(W, 2) s, when it measured."""

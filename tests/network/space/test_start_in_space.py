@@ -1,0 +1,100 @@
+"""From clouds of stationary LiDARs with people to floors, tracks and start poses."""
+
+import numpy as np
+import pytest
+
+from calgraph.config import Lidar3dSpec, People, Rig
+from calgraph.config.settings import TrackingSettings
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se3, so3
+from calgraph.network.options import NetworkOptions
+from calgraph.network.space.floor_plane import level
+from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.observe import observe_clouds
+from calgraph.network.space.start import start_in_space
+from calgraph.parallel.progress import no_progress
+from network.space.people_hall import Hall, Lidar, build_hall, build_lidars, mount, simulate_clouds
+
+DURATION = 20.0
+
+
+def observe(hall: Hall, lidar: Lidar, rng: np.random.Generator, duration: float = DURATION) -> SpaceObservations:
+    """What a LiDAR measures."""
+    found = observe_clouds(
+        simulate_clouds(hall, lidar, duration, rng), Lidar3dSpec(topic="lidar"), TrackingSettings(), rng
+    )
+    assert isinstance(found, SpaceObservations), found.reason
+    return found
+
+
+def floor_error(found: SpaceObservations, lidar: Lidar) -> Array:
+    """(3,) of roll, pitch (rad) and height (m)."""
+    T = lidar.T_world_sensor
+    true = level(np.append(T[2, :3], T[2, 3]))
+    turned = so3.log(found.T_floor_sensor[:3, :3] @ true[:3, :3].T)
+    return np.append(turned[:2], found.T_floor_sensor[2, 3] - true[2, 3])
+
+
+@pytest.mark.parametrize(
+    ("target", "roll"), [([8, 5.5, 1.0], 0.1), ([8, 5.5, -1.0], np.pi), ([3, 4.0, 1.0], -0.2)]
+)
+def test_the_floor_levels_a_tilted_sensor_within_its_stddev(target: list[float], roll: float) -> None:
+    """The ceiling, tables and walls are not taken for it, and a sensor may hang upside down."""
+    rng = np.random.default_rng(5)
+    hall = build_hall(3, DURATION, rng)
+    lidar = Lidar(mount(np.array([0.6, 0.7, 3.4]), np.array(target), roll), 32)
+    found = observe(hall, lidar, rng)
+    error = floor_error(found, lidar)
+    assert np.all(np.abs(error) < 3 * found.floor_stddev)
+    assert np.all(found.floor_stddev < [2e-3, 2e-3, 0.03])
+    heights = se3.apply(lidar.T_world_sensor, found.static.points[found.floor_points])[:, 2]
+    assert np.quantile(np.abs(heights), 0.99) < 0.06
+
+
+def test_tracks_are_at_the_fronts_of_people_and_static_points_stand_still() -> None:
+    """Centres are on the line of sight to the axis of a body to 5 cm, and nearer by its depth."""
+    rng = np.random.default_rng(1)
+    hall = build_hall(2, DURATION, rng)
+    lidar = build_lidars(1, 32, rng)["lidar_0"]
+    found = observe(hall, lidar, rng)
+    assert sum(len(track.times) for track in found.tracks) > 0.5 * 2 * DURATION / 0.1
+    errors = []
+    for track in found.tracks:
+        at = se3.apply(lidar.T_world_sensor, track.centers)[:, :2]
+        off = min((p.path(track.times - 1000) - at for p in hall.people), key=lambda e: float(np.abs(e).sum()))
+        sight = at - lidar.T_world_sensor[:2, 3]
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        errors.append(np.column_stack([np.sum(off * sight, 1), off[:, 1] * sight[:, 0] - off[:, 0] * sight[:, 1]]))
+    radial, tangential = np.concatenate(errors).T
+    assert 0.09 < np.mean(radial) < 0.16
+    assert np.quantile(np.abs(tangential), 0.95) < 0.05
+    assert abs(np.median(tangential)) < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_a_network_starts_within_15_cm(seed: int) -> None:
+    """Two to four LiDARs of 16 and 32 rings, some upside down, with other clocks."""
+    rng = np.random.default_rng(seed)
+    hall = build_hall(2 + seed // 2 % 3, DURATION, rng)
+    lidars = build_lidars(2 + seed % 3, (16, 32)[seed % 2], rng)
+    observed = {name: observe(hall, lidar, rng) for name, lidar in lidars.items()}
+    rig = Rig(root="lidar_0", target=People(), sensors={name: Lidar3dSpec(topic=name) for name in lidars})
+    for name, start in start_in_space(rig, observed, NetworkOptions(), rng, no_progress).items():
+        assert not isinstance(start, Rejected)
+        T, clock = start
+        true = se3.inverse(lidars["lidar_0"].T_world_sensor) @ lidars[name].T_world_sensor
+        assert np.linalg.norm(T[:3, 3] - true[:3, 3]) < 0.15
+        assert np.degrees(np.linalg.norm(so3.log(T[:3, :3] @ true[:3, :3].T))) < 0.5
+        assert abs(clock - lidars[name].clock) < 0.05
+
+
+def test_a_hall_without_people_has_no_floor() -> None:
+    """Without bodies, floors and walls are the same."""
+    rng = np.random.default_rng(0)
+    lidar = build_lidars(1, 16, rng)["lidar_0"]
+    clouds = simulate_clouds(Hall(build_hall(0, 5.0, rng).boxes, ()), lidar, 5.0, rng)
+    found = observe_clouds(clouds, Lidar3dSpec(topic="lidar"), TrackingSettings(), rng)
+    assert isinstance(found, Rejected)
+    assert "let people walk in its view" in found.reason
+    assert isinstance(observe_clouds([], Lidar3dSpec(topic="lidar"), TrackingSettings(), rng), Rejected)
