@@ -2,9 +2,10 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
+from scipy.sparse import csr_array, random_array
 
 from calgraph.geometry import Array
-from calgraph.surfaces.surface_elimination import NoiseModel, eliminate_surfaces
+from calgraph.surfaces.surface_elimination import NoiseModel, eliminate_surfaces, square_sparse
 from calgraph.surfaces.surface_points import SurfacePoints, fit_surfaces
 
 NOISE = NoiseModel(np.array([0.002, 0.002]), np.array([0.001, 0.001]))
@@ -48,3 +49,12 @@ def test_sensors_at_rest_are_moved_onto_their_common_surfaces() -> None:
     assert found.information.shape == (2, 2)
     assert_allclose(step, -shift, atol=4 * np.sqrt(np.diag(np.linalg.inv(found.information))).max())
     assert np.sqrt(np.diag(np.linalg.inv(found.information))).max() < 0.002
+
+
+def test_squares_of_sparse_rows_are_those_of_dense_ones() -> None:
+    """More rows than are multiplied together, some without any entry."""
+    F = csr_array(random_array((1300, 70), density=0.05, rng=np.random.default_rng(6)))
+    assert 0 in np.diff(F.indptr)
+    dense = F.toarray()
+    assert_allclose(square_sparse(F), dense.T @ dense, atol=1e-12)
+    assert_allclose(square_sparse(F[:0]), np.zeros((70, 70)))
