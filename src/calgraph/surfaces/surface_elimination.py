@@ -267,7 +267,7 @@ def _subtract(H: Array, g: Array, inverse: Array, G: csr_array, h: Array) -> Non
 def square_sparse(F: csr_array) -> Array:
     """(C, C) Fᵀ F of a matrix (R, C) whose rows have their columns close together.
 
-    Rows of neighbouring columns are multiplied together as dense ones, 12 to 28 times faster than a sparse product:
+    Rows of neighbouring columns are multiplied together as dense ones, 12 to 28 times faster than sparse products:
     points of one second depend on the control points of that second.
     """
     lengths = np.diff(F.indptr)
