@@ -130,8 +130,9 @@ def test_a_rig_is_explored(rig_page: Shown) -> None:
     rig_page.page.get_by_text("200.0 mm").wait_for(timeout=_PATIENCE)
 
     rig_page.page.get_by_text("reset pose").click(timeout=_PATIENCE)
-    again = rig_page.settled(lambda now: different(second, now) < 2e-3)
-    assert different(moved, again) > 2e-3
+    # Nearer to the scene before than to the displaced one: a slow page draws either with fewer pixels than it did.
+    rig_page.settled(lambda now: different(second, now) < different(moved, now))
+    assert rig_page.viewer.panel.state() == ViewState(1.0)
     assert rig_page.complaints == []
 
 
