@@ -1,0 +1,300 @@
+"""Persons in the joint solution of a network in space: what their paths leave to the states of sensors.
+
+For the sample x of a person at time t, measured by sensor i along the horizontal unit vector e from it, n across,
+
+    radial      r = e · (x - c(t - o_i)) + a - a' cos 2φ - b_r
+    tangential  r = n · (x - c(t - o_i)) - b_t
+
+with the path c, a spline, the depth a of the axis behind the front and its change a' with the angle φ between view
+and walk, and errors of shape b that are the same for all samples of a view: of one track, during a second. Errors
+of views are eliminated in closed form, then path and body of each person.
+
+Sources: Harville, "Maximum likelihood approaches to variance component estimation", 1977, for the variances; Lange,
+Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
+
+from calgraph.geometry import Array, Index
+from calgraph.network.joint.splines import Knots, evaluate_spline
+from calgraph.network.space.persons import FRONT, BodySamples, date_samples, derive_places, place_samples, point_outward
+from calgraph.network.space.space_states import BIAS, CLOCK, STATES, SpaceState
+
+SHARED_MEAN, SHARED_STDDEV = np.array([FRONT, 0.04]), np.array([0.04, 0.03])
+"""(2,) the mean over persons of a and a', m, and how well it is known before: an ellipse of 0.25 by 0.45 m has
+0.15 and 0.045 at its median beam."""
+# By which persons differ from the mean, m.
+_PERSON_STDDEV = np.array([0.02, 0.02])
+# Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks sways with
+# 1 to 2 m/s² at 2 Hz.
+_KNOTS, _ACCELERATION = 0.2, 3.0
+# Time for which errors of shape are taken as constant, s: two steps.
+_VIEW = 1.0
+# Degrees of freedom of Student's t: arms, bags, and points of something else.
+_FREEDOM = 4.0
+# Fits with weights from the residuals of the one before.
+_ROUNDS = 4
+# Fits with directions and aspects from the path of the one before.
+_PASSES = 3
+# Speed from which a person faces where they go, m/s.
+_WALKING = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class BodyNoise:
+    """Standard deviations of radial and tangential errors."""
+
+    scale: Array
+    """(2,) of samples, over their first guesses."""
+    view: Array
+    """(2,) of views, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class PersonEquations:
+    """What one person contributes to the normal equations of P = S F + 2 unknowns: states, then what all share."""
+
+    information: Array
+    """(P, P)."""
+    gradient: Array
+    """(P,)."""
+    scores: Array
+    """(V, P) what each view contributes to the gradient."""
+    view_time: Array
+    """(V,) the mean time of these by the root's clock, s,"""
+    view_sensor: Index
+    """(V,) and their sensors."""
+    white: Array
+    """(2, 2) expected sums of squared errors of samples over first guesses, and numbers; radial and tangential."""
+    view: Array
+    """(2, 2) of the errors of views, m²."""
+    residual: Array
+    """(N, 2) of samples beside the errors of views, m."""
+    weight: Array
+    """(N, 2) of Student's t."""
+    path: Array
+    """(N, 2) places of the person at the times of samples, world, m."""
+
+
+def reduce_person(
+    samples: BodySamples,
+    states: Sequence[SpaceState],
+    noise: BodyNoise,
+    shared: Array,
+    columns: Index | None = None,
+) -> PersonEquations:
+    """The equations of one person, with path and body fitted to the states.
+
+    Args:
+        samples: of the person, in order of time.
+        states: of all sensors.
+        noise: of samples and views.
+        shared: (2,) the mean of a and a', m.
+        columns: (N, 2) which state each sample belongs to, and of how many (the same in all rows), where states
+            change with time; one of each sensor if left out.
+    """
+    of_state, count = (samples.sensor, len(states)) if columns is None else (columns[:, 0], int(columns[0, 1]))
+    times = date_samples(samples, states)
+    knots = Knots.spanning(float(times[0]), float(times[-1]), _KNOTS)
+    first, weights, slopes = knots.basis_at(times)
+    prior, mean = _arrange_prior(knots.count, shared)
+    measured = place_samples(samples, states)
+    outward = point_outward(samples, states, measured[:, :2])
+    gather = _gather_views(samples.track, times)
+    heading = np.zeros_like(outward)
+    for _ in range(_PASSES):
+        rows = _arrange_rows(samples, measured[:, :2], outward, (first, weights, knots.count), heading, gather)
+        fit = _fit(rows, noise, prior, mean)
+        path, velocity = (evaluate_spline(fit.own[:-2].reshape(-1, 2), first, some) for some in (weights, slopes))
+        speed = np.hypot(*velocity.T)
+        heading = velocity / np.maximum(speed, 1e-6)[:, None] * (speed > _WALKING)[:, None]
+        # Where bodies are, not where they are measured: errors of places would be multiplied with themselves, and
+        # make the network smaller, by 0.3 to 0.5 % of simulated halls.
+        outward = point_outward(samples, states, path)
+    error = (fit.residual[:, None] * rows.direction).reshape(2, -1, 2).sum(axis=0)
+    by_state = derive_places(samples, states, measured - np.pad(error, ((0, 0), (0, 1))))
+    by_state[:, :, CLOCK] = velocity
+    by_states = _arrange_derivatives(rows.direction, by_state, of_state, count)
+    H, g, response = _eliminate(rows, fit, by_states, prior, mean)
+    force = (fit.residual - fit.error[rows.view]) * fit.information
+    scores = rows.gather @ by_states.multiply(force[:, None]).toarray()
+    scores = np.column_stack([scores, np.zeros((len(scores), 2))])
+    scores += (rows.gather @ rows.by_own.multiply(force[:, None]).tocsr()) @ response
+    sizes = np.asarray(rows.gather.sum(axis=1))
+    white, of_views = _expect_squares(rows, fit)
+    return PersonEquations(
+        H, g, scores,
+        rows.gather @ np.tile(times, 2) / sizes,
+        np.rint(rows.gather @ np.tile(samples.sensor, 2) / sizes).astype(np.intp),
+        white, of_views,
+        (fit.residual - fit.error[rows.view]).reshape(2, -1).T,
+        fit.weight.reshape(2, -1).T,
+        evaluate_spline(fit.own[:-2].reshape(-1, 2), first, weights),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Residuals of the N samples of one person, radial ones first."""
+
+    base: Array
+    """(2N,) with the path at the origin and a body without depth, m."""
+    direction: Array
+    """(2N, 2) along which errors are measured."""
+    stddev: Array
+    """(2N,) first guesses, m."""
+    by_own: csr_array
+    """(2N, C) derivatives by control points and body."""
+    gather: csr_array
+    """(V, 2N) sums over the rows of each view, radial views first."""
+    view: Index
+    """(2N,) of each row."""
+
+
+def _gather_views(track: Index, times: Array) -> csr_array:
+    """(V, 2N) of :class:`_Rows`."""
+    second = np.floor((times - times[0]) / _VIEW).astype(np.intp)
+    view = np.unique(track * (int(second.max()) + 1) + second, return_inverse=True)[1].ravel()
+    views, rows = int(view.max()) + 1, np.arange(2 * len(track))
+    return csr_array(
+        (np.ones(len(rows)), (np.concatenate([view, view + views]), rows)), shape=(2 * views, len(rows))
+    )
+
+
+def _arrange_prior(controls: int, shared: Array) -> tuple[Array, Array]:
+    """Information (C, C) on path and body, and (C,) what they are expected to be."""
+    second = np.diff(np.eye(controls), 2, axis=0) / (_ACCELERATION * _KNOTS**2)
+    size = 2 * controls + 2
+    prior, mean = np.zeros((size, size)), np.zeros(size)
+    prior[0:-2:2, 0:-2:2] = prior[1:-2:2, 1:-2:2] = second.T @ second
+    prior[[-2, -1], [-2, -1]] = _PERSON_STDDEV**-2.0
+    mean[-2:] = shared
+    return prior, mean
+
+
+def _arrange_rows(
+    samples: BodySamples,
+    places: Array,
+    outward: Array,
+    basis: tuple[Index, Array, int],
+    heading: Array,
+    gather: csr_array,
+) -> _Rows:
+    """Rows for places (N, 2), unit vectors of view (N, 2) and of walk (N, 2), 0 of who stands."""
+    N, (first, weights, controls) = len(places), basis
+    direction = np.concatenate([outward, np.column_stack([-outward[:, 1], outward[:, 0]])])
+    along = np.einsum("ni,ni->n", outward, heading)
+    aspect = np.where(heading.any(axis=1), 2 * along**2 - 1, 0.0)
+    row, sample = np.arange(2 * N), np.tile(np.arange(N), 2)
+    control = 2 * (first[sample, None] + np.arange(4))[:, :, None] + np.arange(2)
+    by_control = -weights[sample][:, :, None] * direction[:, None, :]
+    values = np.concatenate([by_control.ravel(), np.ones(N), -aspect])
+    column = np.concatenate([control.ravel(), np.repeat([2 * controls, 2 * controls + 1], N)])
+    of_row = np.concatenate([np.repeat(row, 8), row[:N], row[:N]])
+    return _Rows(
+        np.einsum("ri,ri->r", direction, places[sample]),
+        direction,
+        samples.stddev.T.ravel(),
+        csr_array((values, (of_row, column)), shape=(2 * N, 2 * controls + 2)),
+        gather,
+        np.asarray(gather.tocsc().indices, dtype=np.intp),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Path and body that fit best, and the weights of rows with which they do."""
+
+    own: Array
+    """(C,)."""
+    factor: tuple[Array, bool]
+    """Cholesky factor of their information (C, C)."""
+    information: Array
+    """(2N,) of each row, 1/m²."""
+    gain: Array
+    """(V,) by which the sum of a view's weighted residuals becomes its error, m²."""
+    residual: Array
+    """(2N,) with the errors of views, m."""
+    error: Array
+    """(V,) of the views, m."""
+    weight: Array
+    """(2N,) of Student's t."""
+
+
+def _fit(rows: _Rows, noise: BodyNoise, prior: Array, mean: Array) -> _Fit:
+    """By weights from the residuals of the fit before."""
+    stddev = np.repeat(noise.scale, len(rows.base) // 2) * rows.stddev
+    variance = np.repeat(noise.view**2, rows.gather.shape[0] // 2)
+    weight = np.ones(len(stddev))
+    for _ in range(_ROUNDS):
+        information = weight / stddev**2
+        gain = variance / (1 + variance * (rows.gather @ information))
+        H = _square(rows, information, gain, rows.by_own, rows.by_own) + prior
+        g = _square(rows, information, gain, rows.by_own, rows.base[:, None])[:, 0] - prior @ mean
+        factor = cho_factor(H, lower=True, check_finite=False)
+        own = -np.asarray(cho_solve(factor, g, check_finite=False))
+        residual = rows.base + rows.by_own @ own
+        error = gain * (rows.gather @ (information * residual))
+        weight = (_FREEDOM + 1) / (_FREEDOM + ((residual - error[rows.view]) / stddev) ** 2)
+    return _Fit(own, factor, information, gain, residual, error, weight)
+
+
+def _square(rows: _Rows, information: Array, gain: Array, A: csr_array, B: csr_array | Array) -> Array:
+    """``Aᵀ V⁻¹ B`` with the covariance V of rows, whose errors are independent beside those of views."""
+    D = csr_array((information, np.arange(len(information)), np.arange(len(information) + 1)))
+    weighted_a, weighted_b = D @ A, D @ B
+    sums = csr_array((gain, np.arange(len(gain)), np.arange(len(gain) + 1))) @ (rows.gather @ weighted_b)
+    product = A.T @ weighted_b - (rows.gather @ weighted_a).T @ sums
+    return np.asarray(product if isinstance(product, np.ndarray) else product.toarray())
+
+
+def _arrange_derivatives(direction: Array, by_state: Array, of_state: Index, count: int) -> csr_array:
+    """(2N, count F) derivatives of rows by states, from those of places (N, 2, F)."""
+    N = len(by_state)
+    sample = np.tile(np.arange(N), 2)
+    values = np.einsum("ri,rif->rf", direction, by_state[sample])
+    column = STATES * of_state[sample, None] + np.arange(STATES)
+    return csr_array(
+        (values.ravel(), (np.repeat(np.arange(2 * N), STATES), column.ravel())), shape=(2 * N, STATES * count)
+    )
+
+
+def _eliminate(
+    rows: _Rows, fit: _Fit, by_states: csr_array, prior: Array, mean: Array
+) -> tuple[Array, Array, Array]:
+    """Normal equations of states and shared unknowns without path and body, and (C, P) how these follow."""
+    P, body = by_states.shape[1], prior[[-2, -1], [-2, -1]]
+    cross = np.zeros((len(prior), P + 2))
+    cross[:, :P] = _square(rows, fit.information, fit.gain, rows.by_own, by_states)
+    cross[[-2, -1], [P, P + 1]] = -body
+    H, g = np.zeros((P + 2, P + 2)), np.zeros(P + 2)
+    H[:P, :P] = _square(rows, fit.information, fit.gain, by_states, by_states)
+    H[[P, P + 1], [P, P + 1]] = body
+    g[:P] = _square(rows, fit.information, fit.gain, by_states, fit.residual[:, None])[:, 0]
+    g[P:] = -body * (fit.own[-2:] - mean[-2:])
+    response = -np.asarray(cho_solve(fit.factor, cross, check_finite=False))
+    return H + cross.T @ response, g, response
+
+
+def _expect_squares(rows: _Rows, fit: _Fit) -> tuple[Array, Array]:
+    """Expected squares of errors given the data (the E step of EM): see :class:`PersonEquations`."""
+    gained = rows.by_own.multiply(fit.information[:, None]).tocsr()
+    by_view = (rows.gather @ gained).multiply(fit.gain[:, None]).tocsr()
+    rest = rows.by_own - by_view[rows.view]
+    P = np.asarray(cho_solve(fit.factor, np.eye(len(fit.own)), check_finite=False))
+    left = fit.gain
+    of_views = fit.error**2 + left + np.einsum("vc,vc->v", by_view @ P, by_view.toarray())
+    error = fit.residual - fit.error[rows.view]
+    square = error**2 + left[rows.view] + np.einsum("rc,rc->r", rest @ P, rest.toarray())
+    white = (fit.weight * square / rows.stddev**2).reshape(2, -1)
+    views = of_views.reshape(2, -1)
+    return (
+        np.column_stack([white.sum(axis=1), np.full(2, white.shape[1])]),
+        np.column_stack([views.sum(axis=1), np.full(2, views.shape[1])]),
+    )
+
