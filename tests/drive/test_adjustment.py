@@ -19,7 +19,6 @@ from calgraph.drive.adjustment import (
     _reduce_part,
     adjust_drive,
 )
-from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import (
     _evaluate,
@@ -409,7 +408,14 @@ def test_maps_of_a_wrong_pose_do_not_agree(n: int) -> None:
     right = scene.truth[1].T_root_sensor
     wrong = se_n.pose(se_n.rotation(right), se_n.translation(right) + np.array([0.5, 0.4, 0.0])[:n])
     truth, moved = (
-        measure_agreement([scene.part], [scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])[0, 1]
+        measure_agreement(
+            [
+                [
+                    locate_points(scene.part, k, state)
+                    for k, state in enumerate([scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])
+                ]
+            ]
+        )[0, 1]
         for T in (right, wrong)
     )
     assert truth > 8

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.config import Rig
+from calgraph.config import Lidar3dSpec, Rig
 from calgraph.config.settings import StationaritySettings
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.network.checks.assemble import assemble_network
@@ -25,6 +25,7 @@ from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
+from calgraph.network.space.pipeline import calibrate_in_space
 from calgraph.network.step_log import log_network
 from calgraph.network.timed_tracks import track_with_beam_times
 from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec
@@ -45,7 +46,7 @@ from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 def calibrate_network(
     rig: Rig, recording: Recording, options: NetworkOptions, progress: Progress = no_progress
 ) -> Calibration:
-    """Calibrates stationary 2-D scanners from people who walk through their views (lrf-network).
+    """Calibrates stationary scanners or 3-D LiDARs from people who walk through their views (lrf-network).
 
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """
@@ -55,6 +56,9 @@ def calibrate_network(
     check_sensor_topics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
     recording, offsets, corrected = correct_clocks(rig, recording, options.cache)
+    if any(isinstance(spec, Lidar3dSpec) for spec in rig.sensors.values()):
+        calibration = calibrate_in_space(rig, recording, options, monitor, corrected, progress)
+        return add_clock_offsets(calibration, rig, offsets)
     tracks, frames, findings = track_with_beam_times(rig, recording, options, progress, monitor)
     tracks = forget_unused_beams(rig, tracks)
     findings = (*corrected, *monitor.findings(), *findings)

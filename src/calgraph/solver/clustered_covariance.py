@@ -39,29 +39,50 @@ class ClusteredScores:
 
 def widen_covariance(covariance: Array, parts: Sequence[ClusteredScores]) -> Array:
     """The covariance (P, P) of independent errors, with the scatter of contributions by time and by place."""
-    meat = np.zeros_like(covariance)
-    for labels in (_label_times, _label_places):
-        meat += _sum_squares([_sum_clusters(part.scores, labels(part)) for part in parts])
+    kinds = [
+        np.concatenate([sum_clusters(part.scores, label(part)) for part in parts])
+        for label in (_label_times, _label_places)
+    ]
+    return widen_by_clusters(covariance, kinds)
+
+
+def widen_by_clusters(covariance: Array, kinds: Sequence[Array]) -> Array:
+    """The covariance (P, P) of independent errors, with the scatter of contributions to the gradient.
+
+    Args:
+        covariance: of independent errors.
+        kinds: (K, P) sums of contributions over independent clusters, of each way to cluster them.
+    """
+    meat = sum((_sum_squares(sums) for sums in kinds), np.zeros_like(covariance))
     return np.asarray(covariance + SCATTER_FACTOR * covariance @ meat @ covariance)
 
 
 def _label_times(part: ClusteredScores) -> Index:
-    return np.unique(np.floor(part.time / _INTERVAL), return_inverse=True)[1].ravel()
+    return label_times(part.time)
 
 
 def _label_places(part: ClusteredScores) -> Index:
-    return np.unique(np.floor(part.place / _BLOCK), axis=0, return_inverse=True)[1].ravel()
+    return label_places(part.place)
 
 
-def _sum_clusters(scores: Array, label: Index) -> Array:
+def label_times(time: Array) -> Index:
+    """(N,) number of the interval that each time (N,), s, is in."""
+    return np.unique(np.floor(time / _INTERVAL), return_inverse=True)[1].ravel()
+
+
+def label_places(place: Array) -> Index:
+    """(N,) number of the block of the world that each place (N, n), m, is in."""
+    return np.unique(np.floor(place / _BLOCK), axis=0, return_inverse=True)[1].ravel()
+
+
+def sum_clusters(scores: Array, label: Index) -> Array:
     """(K, P) sums of scores (N, P) by label (N,)."""
     sums = np.zeros((int(label.max(initial=-1)) + 1, scores.shape[1]))
     np.add.at(sums, label, scores)
     return sums
 
 
-def _sum_squares(sums: Sequence[Array]) -> Array:
-    """(P, P) expected square of the sum of independent clusters."""
-    joined = np.concatenate(sums)
-    count = len(joined)
-    return np.asarray(joined.T @ joined * (count / max(count - 1, 1)))
+def _sum_squares(sums: Array) -> Array:
+    """(P, P) expected square of the sum of independent clusters (K, P)."""
+    count = len(sums)
+    return np.asarray(sums.T @ sums * (count / max(count - 1, 1)))

@@ -12,6 +12,7 @@ from calgraph.network.space.floor_plane import level
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.observe import observe_clouds
 from calgraph.network.space.start import start_in_space
+from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.parallel.progress import no_progress
 from network.space.people_hall import Hall, Lidar, build_hall, build_lidars, mount, simulate_clouds
 
@@ -20,9 +21,10 @@ DURATION = 20.0
 
 def observe(hall: Hall, lidar: Lidar, rng: np.random.Generator, duration: float = DURATION) -> SpaceObservations:
     """What a LiDAR measures."""
-    found = observe_clouds(
-        simulate_clouds(hall, lidar, duration, rng), Lidar3dSpec(topic="lidar"), TrackingSettings(), rng
-    )
+    splitter = CloudSplitter()
+    for cloud in simulate_clouds(hall, lidar, duration, rng):
+        splitter.add(cloud)
+    found = observe_clouds(splitter, Lidar3dSpec(topic="lidar"), TrackingSettings(), rng)
     assert isinstance(found, SpaceObservations), found.reason
     return found
 
@@ -80,9 +82,12 @@ def test_a_network_starts_within_15_cm(seed: int) -> None:
     lidars = build_lidars(2 + seed % 3, (16, 32)[seed % 2], rng)
     observed = {name: observe(hall, lidar, rng) for name, lidar in lidars.items()}
     rig = Rig(root="lidar_0", target=People(), sensors={name: Lidar3dSpec(topic=name) for name in lidars})
-    for name, start in start_in_space(rig, observed, NetworkOptions(), rng, no_progress).items():
-        assert not isinstance(start, Rejected)
-        T, clock = start
+    states = start_in_space(rig, observed, NetworkOptions(), rng, no_progress).states
+    assert list(states)[0] == "lidar_0"
+    assert set(states) == set(lidars)
+    for name, state in states.items():
+        T = se3.inverse(states["lidar_0"].T_world_sensor) @ state.T_world_sensor
+        clock = state.clock_offset
         true = se3.inverse(lidars["lidar_0"].T_world_sensor) @ lidars[name].T_world_sensor
         assert np.linalg.norm(T[:3, 3] - true[:3, 3]) < 0.15
         assert np.degrees(np.linalg.norm(so3.log(T[:3, :3] @ true[:3, :3].T))) < 0.5

@@ -109,7 +109,7 @@ def assemble_network(
     T_root_sensor = se2.to_se3(T_root_scanner) @ flips
     budget = compute_error_budget(joint, names, T_root_sensor) if joint else None
     remedies = find_network_remedies(rig, joint, names, T_root_sensor) if joint else ()
-    parents = _find_parents(inliers, names)
+    parents = find_parents(inliers, names)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
@@ -125,11 +125,11 @@ def assemble_network(
             bodies=_describe_bodies(joint) if joint else None,
             tolerance=rig.tolerance,
             edges=tuple(
-                _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
+                build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
             ),
             captures=build_walk_rows(samples, matches, start),
             unconnected={
-                name: _explain_unconnected(name, rig.root, followed, initialization.pairs)
+                name: explain_unconnected(name, rig.root, followed, initialization.pairs)
                 for name in rig.sensors
                 if name not in names
             },
@@ -217,19 +217,27 @@ def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _find_parents(inliers: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
+def find_parents(inliers: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
     """Each scanner's neighbour on the way to the root, over the edges with the most information."""
     by_information = np.argsort(-np.linalg.eigvalsh(inliers.information)[:, 0], kind="stable")
     tree = walk_tree(len(names), inliers.edges[by_information].tolist(), [0])
     return {names[step.child]: names[step.parent] for step in tree}
 
 
-def _build_edge(
+def build_edge(
     pair: tuple[str, str],
     found: ScannerPairEstimate | Rejected,
     inlier_poses: Mapping[tuple[str, str], tuple[Array, Array]],
     parents: Mapping[str, str],
 ) -> Edge:
+    """The evidence of a pair, or why there is none.
+
+    Args:
+        pair: names of its scanners.
+        found: of it.
+        inlier_poses: (3, 3) of both scanners of the pairs that agree with the solution.
+        parents: of scanners in the tree.
+    """
     a, b = pair
     if isinstance(found, Rejected):
         return Edge(a, b, 0, 0, in_tree=False, residuals=np.zeros(0), note=found.reason)
@@ -253,9 +261,10 @@ def _count_shared(hypothesis: PoseHypothesis) -> int:
     return round(hypothesis.observations / hypothesis.matched_share)
 
 
-def _explain_unconnected(
+def explain_unconnected(
     name: str, root: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: ScannerPairs
 ) -> str:
+    """Why a scanner has no pose, from its tracks and its pairs with all others."""
     tracks, of_root = followed[name], followed[root]
     if isinstance(tracks, Rejected):
         return tracks.reason

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index
 from calgraph.network.space.observations import SpaceObservations
@@ -20,8 +21,15 @@ from calgraph.network.space.person_paths import (
     reduce_person,
 )
 from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
-from calgraph.network.space.space_states import STATES, SpaceState
-from calgraph.network.space.static_surfaces import SharedSurfaces, find_shared_surfaces, reduce_surfaces, thin_points
+from calgraph.network.space.space_states import SpaceState, place_points
+from calgraph.network.space.static_surfaces import (
+    SharedSurfaces,
+    find_shared_surfaces,
+    reduce_surfaces,
+    thin_points,
+)
+from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
+from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations
 
 # Distances up to which tracks are of one person, and points of one surface, m, by iteration: from errors of the
@@ -36,6 +44,39 @@ _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones of these.
 _MIN_SCALE, _MIN_BODY_VIEW, _MIN_WHITE, _MIN_VIEW = 0.2, 0.003, 0.002, 0.0005
+# Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the probability
+# with which a difference is found where there is none.
+_PLANAR = np.array([0, 1, 5])
+_SPLIT_STDDEV = np.array([1.0, 1.0, 0.2])
+_FALSE_ALARM = 0.001
+
+
+@dataclass(frozen=True, eq=False)
+class PeopleEquations:
+    """Normal equations from all persons, of the P free states and the 2 unknowns that bodies share."""
+
+    information: Array
+    """(P + 2, P + 2)."""
+    gradient: Array
+    """(P + 2,)."""
+    scores: Array
+    """(V, P + 2) what each view contributes to the gradient."""
+    time: Array
+    """(V,) of these by the root's clock, s."""
+    source: Index
+    """(V,) number of person and sensor."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """How far people and surfaces are apart on the place and heading of a sensor."""
+
+    significance: float
+    """Squared distance in standard deviations, over the limit of what chance explains."""
+    shift: float
+    """m."""
+    turn: float
+    """rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +89,18 @@ class SpaceSolution:
     covariance: Array
     """(P, P) of these."""
     persons: Sequence[BodySamples]
-    equations: Sequence[PersonEquations]
-    """Of each person."""
+    """The measurements of each person whom several sensors measured."""
+    people: PeopleEquations
     shared: SharedSurfaces
-    surfaces: SurfaceEquations
     noise: NoiseModel
+    """Of static points."""
     body_noise: BodyNoise
     body: Array
     """(2,) mean depth of bodies and its change with the aspect, m."""
+    agreement: Array
+    """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
+    contradiction: Sequence[Contradiction]
+    """By sensor: where people and surfaces would move its pose."""
     squared_step: float
     """Squared last step, in standard deviations."""
 
@@ -74,41 +119,94 @@ def solve_space(
         prior: (S, 9) standard deviations of these, 0 of what is fixed.
         progress: called with the fraction done.
     """
-    free = prior > 0
-    columns = np.append(np.flatnonzero(free), [free.size, free.size + 1])
+    free, start = prior > 0, states
     count = int(free.sum())
     information = np.concatenate([prior[free], SHARED_STDDEV]) ** -2.0
     samples = gather_samples(observations)
     points = [thin_points(one.static.points) for one in observations]
     noise = NoiseModel(np.full(len(states), _START_WHITE), np.full(2, _START_VIEW))
-    body_noise, body, start = _START_BODY, SHARED_MEAN, list(states)
-    states = start
-    persons, shared = [], None
+    body_noise, body = _START_BODY, SHARED_MEAN
+    persons: list[BodySamples] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
             persons = find_persons(samples, states, person_gate)
             shared = find_shared_surfaces(points, states, surface_gate)
-        of_persons = [reduce_person(one, states, body_noise, body) for one in persons]
-        of_surfaces = reduce_surfaces(shared, states, noise, free)
-        H, g = np.diag(information), np.concatenate([_deviate(states, start)[free], body - SHARED_MEAN]) * information
-        H[:count, :count] += of_surfaces.information
-        g[:count] += of_surfaces.gradient
-        for one in of_persons:
-            H += one.information[np.ix_(columns, columns)]
-            g += one.gradient[columns]
-        step = -np.linalg.solve(H, g)
+        reduced = [reduce_person(one, states, body_noise, body) for one in persons]
+        people = _add_persons(reduced, free)
+        surfaces = reduce_surfaces(shared, states, noise, free)
+        H = people.information + np.diag(information)
+        g = people.gradient + np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
+        H[:count, :count] += surfaces.information
+        g[:count] += surfaces.gradient
+        step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
         full[free] = step[:count]
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
         body = body + step[count:]
-        body_noise = _estimate_body_noise(of_persons, body_noise)
-        noise = _estimate_noise(of_surfaces, noise)
+        body_noise, noise = _estimate_body_noise(reduced, body_noise), _estimate_noise(surfaces, noise)
         progress((k + 1) / len(_PERSON_GATES))
-    covariance = np.linalg.inv(H)
+    along = surfaces.scores.along(np.eye(count, count + 2))
+    clusters = [
+        sum_clusters(people.scores, label_times(people.time)),
+        sum_clusters(people.scores, people.source),
+        sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
+    ]
+    covariance = widen_by_clusters(np.linalg.inv(H), clusters)
+    world = [place_points(state, one.static.points)[0] for state, one in zip(states, observations, strict=True)]
     return SpaceSolution(
-        states, free, covariance, persons, of_persons, shared, of_surfaces, noise, body_noise, body,
-        float(step @ H @ step),
+        states, free, covariance[:count, :count], persons, people, shared, noise, body_noise, body,
+        agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
+        contradiction=_compare_people(people, H, free),
+        squared_step=float(step @ H @ step),
     )  # fmt: skip
+
+
+def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
+    columns = np.append(np.flatnonzero(free), [free.size, free.size + 1])
+    size = len(columns)
+    H, g = np.zeros((size, size)), np.zeros(size)
+    for one in persons:
+        H += one.information[np.ix_(columns, columns)]
+        g += one.gradient[columns]
+    return PeopleEquations(
+        H, g,
+        np.concatenate([np.zeros((0, size)), *(one.scores[:, columns] for one in persons)]),
+        np.concatenate([np.zeros(0), *(one.view_time for one in persons)]),
+        np.concatenate([np.zeros(0, np.intp), *(one.view_sensor + len(free) * k for k, one in enumerate(persons))]),
+    )  # fmt: skip
+
+
+def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
+    """Rao's score test of another place and heading of each sensor for people than for surfaces.
+
+    Args:
+        people: their equations at the solution.
+        H: (P + 2, P + 2) information of people and surfaces.
+        free: (S, 9).
+    """
+    found = []
+    number = np.cumsum(free.ravel()).reshape(free.shape) - 1
+    for k in range(len(free)):
+        if not free[k, 0]:
+            found.append(Contradiction(0.0, 0.0, 0.0))
+            continue
+        rows = number[k, _PLANAR]
+        response = np.linalg.solve(H, people.information[:, rows])
+        information = people.information[np.ix_(rows, rows)] - people.information[rows] @ response
+        information += np.diag(_SPLIT_STDDEV**-2.0)
+        size = -np.linalg.solve(information, people.gradient[rows])
+        # What independent groups of people contribute scatters more than independent errors.
+        sums = sum_clusters(people.scores[:, rows] - people.scores @ response, people.source)
+        inverse = np.linalg.inv(information)
+        covariance = widen_by_clusters(inverse, [sums])
+        statistic = float(size @ np.linalg.solve(covariance, size))
+        found.append(
+            Contradiction(
+                statistic / float(chdtri(len(_PLANAR), _FALSE_ALARM)),
+                float(np.hypot(*size[:2])), abs(float(size[2])),
+            )
+        )  # fmt: skip
+    return found
 
 
 def _deviate(states: Sequence[SpaceState], start: Sequence[SpaceState]) -> Array:

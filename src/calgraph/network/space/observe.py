@@ -1,7 +1,5 @@
 """From the clouds of one stationary 3-D LiDAR to its floor, static points and tracks of bodies."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from calgraph.config import Lidar3dSpec
@@ -12,16 +10,15 @@ from calgraph.network.space.body_tracks import track_bodies
 from calgraph.network.space.floor_plane import find_floor
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.static_directions import CloudSplitter
-from calgraph.sensors import PointCloud
 
 
 def observe_clouds(
-    clouds: Iterable[PointCloud], spec: Lidar3dSpec, settings: TrackingSettings, rng: np.random.Generator
+    splitter: CloudSplitter, spec: Lidar3dSpec, settings: TrackingSettings, rng: np.random.Generator
 ) -> SpaceObservations | Rejected:
-    """What a stationary LiDAR measured, in one pass over its clouds.
+    """What a stationary LiDAR measured.
 
     Args:
-        clouds: of the sensor, by its clock.
+        splitter: that all its clouds were added to.
         spec: of the sensor, for the errors of its ranges.
         settings: of tracking.
         rng: of the search for the floor.
@@ -29,9 +26,6 @@ def observe_clouds(
     Returns:
         Floor, static points and tracks, or why there are none.
     """
-    splitter = CloudSplitter()
-    for cloud in clouds:
-        splitter.add(cloud)
     split = splitter.finish()
     if split is None:
         return Rejected("no cloud has any point")

@@ -22,8 +22,15 @@ from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.splines import Knots, evaluate_spline
-from calgraph.network.space.persons import FRONT, BodySamples, date_samples, derive_places, place_samples, point_outward
-from calgraph.network.space.space_states import BIAS, CLOCK, STATES, SpaceState
+from calgraph.network.space.persons import (
+    FRONT,
+    BodySamples,
+    date_samples,
+    derive_places,
+    place_samples,
+    point_outward,
+)
+from calgraph.network.space.space_states import CLOCK, STATES, SpaceState
 
 SHARED_MEAN, SHARED_STDDEV = np.array([FRONT, 0.04]), np.array([0.04, 0.03])
 """(2,) the mean over persons of a and a', m, and how well it is known before: an ellipse of 0.25 by 0.45 m has
@@ -297,4 +304,3 @@ def _expect_squares(rows: _Rows, fit: _Fit) -> tuple[Array, Array]:
         np.column_stack([white.sum(axis=1), np.full(2, white.shape[1])]),
         np.column_stack([views.sum(axis=1), np.full(2, views.shape[1])]),
     )
-

@@ -1,17 +1,31 @@
 """Start poses and clocks of a network of 3-D LiDARs: tracks in their levelled planes are those of a planar one."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.errors import Rejected
-from calgraph.geometry import Array, se2, se3
+from calgraph.geometry import Array, se2
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.options import NetworkOptions
-from calgraph.network.scanner_pairs import average_pairs, pair_scanners
+from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.body_tracks import to_scanner_tracks
 from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.space_states import SpaceState
 from calgraph.parallel.progress import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceStart:
+    """Start values of the joint solution, and what they come from."""
+
+    corrected: CorrectedPairs
+    """Tracks in levelled planes, and their pairs."""
+    initialization: NetworkInitialization
+    """Poses in the levelled plane of the root."""
+    states: Mapping[str, SpaceState]
+    """By connected sensor, the root first, in the levelled frame of the root."""
 
 
 def start_in_space(
@@ -20,8 +34,8 @@ def start_in_space(
     options: NetworkOptions,
     rng: np.random.Generator,
     progress: Progress,
-) -> dict[str, tuple[Array, float] | Rejected]:
-    """Start poses T_root_sensor (4, 4) and clock offsets from the root, s, or why a sensor has none.
+) -> SpaceStart:
+    """Start values of the sensors that people connect to the root.
 
     A levelled sensor has three unknowns beside its clock, those of a planar scanner: pairs are registered and
     averaged as such.
@@ -30,14 +44,18 @@ def start_in_space(
     tracked = {name: to_scanner_tracks(one, settings) for name, one in observations.items()}
     corrected = pair_scanners(rig, tracked, options, rng, progress)
     start = average_pairs(rig, corrected, options.select_method(rig.settings.published), rng)
-    clocks = start.average_clocks()[:, 0]
-    found: dict[str, tuple[Array, float] | Rejected] = {}
-    for node, name in enumerate(start.names):
-        if name not in observations:
-            continue
-        T = se2.to_se3(start.solution.T_root_node[node]) @ observations[name].T_floor_sensor
-        T_root_sensor = se3.inverse(observations[rig.root].T_floor_sensor) @ T
-        clock = corrected.clock_offset.get(name, 0.0) + (float(clocks[node]) if name != rig.root else 0.0)
-        found[name] = T_root_sensor, clock
-    unconnected = Rejected("the people that it tracked connect it to no other sensor of the network")
-    return found | {name: unconnected for name in observations if name not in found}
+    clocks = np.nan_to_num(start.average_clocks()[:, 0])
+    states = {
+        name: SpaceState(
+            lift_pose(start.solution.T_root_node[node], observations[name]),
+            corrected.clock_offset.get(name, 0.0) + float(clocks[node]),
+        )
+        for node, name in enumerate(start.names)
+        if name in observations
+    }
+    return SpaceStart(corrected, start, states)
+
+
+def lift_pose(T_plane_sensor: Array, observed: SpaceObservations) -> Array:
+    """The pose (4, 4) in a levelled frame of a sensor whose pose (3, 3) in the plane is known."""
+    return np.asarray(se2.to_se3(T_plane_sensor) @ observed.T_floor_sensor)

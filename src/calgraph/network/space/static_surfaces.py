@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
-from calgraph.surfaces.surface_points import CELL_LIMITS, THICKNESS_PER_GATE, SurfacePoints, fit_surfaces
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.space_states import BIAS, STATES, SpaceState, place_points
 from calgraph.surfaces.flat_cells import FlatCells, sum_moments
+from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
+from calgraph.surfaces.surface_points import CELL_LIMITS, THICKNESS_PER_GATE, SurfacePoints, fit_surfaces
 
 # Points of one sensor within a cube of this size are one, m: errors of rings and of relief are common to them.
 _THINNED = 0.25

@@ -1,0 +1,171 @@
+"""Assembles the Calibration of a network in space: poses with verdicts, and what contradicts them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se2, se3
+from calgraph.network.checks.assemble import (
+    build_edge,
+    build_walk_rows,
+    explain_unconnected,
+    find_parents,
+    match_across_scanners,
+)
+from calgraph.network.pairs.synchronized_tracks import resample_tracks
+from calgraph.network.space.joint import SpaceSolution
+from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.space_states import CLOCK, SpaceState
+from calgraph.network.space.start import SpaceStart
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
+from calgraph.result import Calibration, Evidence, FitError, SensorPose, Verdict
+from calgraph.result.finding import Finding
+from calgraph.solver.connected_parts import label_parts
+from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
+
+_ADVICE = "let people walk farther and in more directions where the views of LiDARs overlap"
+# Squared last step of the joint solution, in standard deviations, up to which it has converged.
+_MAX_SQUARED_STEP = 0.1
+# Agreement of maps below which nothing but people shows that a pose is right.
+_MIN_AGREEMENT = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceResult:
+    """What is known of a network."""
+
+    observed: Mapping[str, SpaceObservations | Rejected]
+    frames: Mapping[str, str]
+    """That messages state."""
+    start: SpaceStart
+    begin: float
+    """Of the recording, s."""
+    solution: SpaceSolution | None
+    """Of the sensors with a start, in its order; None if that is the root only."""
+    findings: Sequence[Finding]
+
+
+def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
+    """The calibration of a network in space."""
+    solution, start = result.solution, result.start
+    names = list(start.states) if solution else [rig.root]
+    states = solution.states if solution else [start.states.get(rig.root, SpaceState(np.eye(4)))]
+    T_root_world = se3.inverse(states[0].T_world_sensor)
+    covariance, clocks = _express_in_root(solution, T_root_world) if solution else (np.zeros((6, 6)), np.zeros(1))
+    by_sensor = collect_findings(result.findings)
+    initial = start.initialization
+    inliers = initial.graph.select_edges(initial.solution.inliers)
+    parents = find_parents(inliers, initial.names)
+    sensors = []
+    for k, name in enumerate(names):
+        spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
+        T = np.asarray(T_root_world @ states[k].T_world_sensor)
+        verdict = LONE_ROOT if solution is None else Verdict("good")
+        if k and solution is not None:
+            verdict = grade_pose(
+                name, spec.kind, T, covariance[block, block],
+                [*by_sensor.get(name, ()), *_find_contradictions(solution, k)],
+                tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
+                data="walks and surfaces", advice=_ADVICE,
+            )  # fmt: skip
+        sensors.append(
+            SensorPose(
+                name,
+                parents.get(name),
+                spec.frame_id or result.frames.get(name) or name,
+                spec.kind,
+                T,
+                verdict,
+                clock_offset=states[k].clock_offset if k else None,
+                clock_offset_stddev=float(clocks[k]) if k else None,
+            )
+        )
+    planar = _project_poses(names, states, result.observed)
+    poses = {
+        (a, b): (planar[a], planar[b]) for a, b in (tuple(initial.names[i] for i in e) for e in inliers.edges)
+    }
+    tracked: dict[str, ScannerTracks | Rejected] = {
+        name: result.start.corrected.tracked.get(name, one) if isinstance(one, SpaceObservations) else one
+        for name, one in result.observed.items()
+    }
+    samples = {}
+    for name, one in tracked.items():
+        if isinstance(one, ScannerTracks):
+            clock = states[names.index(name)].clock_offset if name in names else 0.0
+            remaining = clock - start.corrected.clock_offset.get(name, 0.0)
+            samples[name] = resample_tracks(correct_tracks(one, clock_offset=remaining))
+    matches = match_across_scanners(samples, planar)
+    return Calibration(
+        root=rig.root,
+        sensors=tuple(sensors),
+        joint_covariance=covariance,
+        evidence=Evidence(
+            estimator="joint",
+            tolerance=rig.tolerance,
+            edges=tuple(build_edge(pair, found, poses, parents) for pair, found in initial.pairs.items()),
+            captures=build_walk_rows(samples, matches, result.begin),
+            unconnected={
+                name: explain_unconnected(name, rig.root, tracked, initial.pairs)
+                for name in rig.sensors
+                if name not in names
+            },
+            remarks=tuple(finding.text for finding in result.findings),
+            residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
+            fit=_describe_fit(names, solution) if solution else {},
+            initial_poses={name: T_root_world @ start.states[name].T_world_sensor for name in names if solution},
+        ),
+    )
+
+
+def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
+    """Why the pose of sensor k cannot be good."""
+    reasons = []
+    if solution.squared_step > _MAX_SQUARED_STEP:
+        reasons.append("the joint solution has not converged")
+    between = solution.contradiction[k]
+    if between.significance > 1:
+        reasons.append(
+            f"people place it {1000 * between.shift:.0f} mm and {np.degrees(between.turn):.2f}° from where walls "
+            "and floors do: it moved, its clock jumped, or what it measured is not where it seems, as in a mirror"
+        )
+    connected = label_parts(len(solution.states), np.argwhere(solution.agreement >= _MIN_AGREEMENT))
+    if connected[0] != connected[k]:
+        reasons.append(
+            "walls that it measured do not agree with those of other LiDARs: let more of the same walls, pillars "
+            "and furniture be in the views of both"
+        )
+    return reasons
+
+
+def _express_in_root(solution: SpaceSolution, T_root_world: Array) -> tuple[Array, Array]:
+    """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s."""
+    S = len(solution.states)
+    whole = np.zeros((solution.free.size,) * 2)
+    whole[np.ix_(*[np.flatnonzero(solution.free)] * 2)] = solution.covariance
+    numbers = np.arange(solution.free.size).reshape(S, -1)
+    pose = numbers[:, :6].ravel()
+    turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])
+    return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, CLOCK]])
+
+
+def _project_poses(
+    names: Sequence[str], states: Sequence[SpaceState], observed: Mapping[str, SpaceObservations | Rejected]
+) -> dict[str, Array]:
+    """Poses (3, 3) in the levelled plane of the root of the levelled planes of sensors."""
+    planar = {}
+    for name, state in zip(names, states, strict=True):
+        one = observed[name]
+        if isinstance(one, SpaceObservations):
+            T = state.T_world_sensor @ se3.inverse(one.T_floor_sensor)
+            planar[name] = se2.pose(float(np.arctan2(T[1, 0], T[0, 0])), T[:2, 3])
+    return planar
+
+
+def _describe_fit(names: Sequence[str], solution: SpaceSolution) -> dict[str, FitError]:
+    """Residuals of the static points of each sensor on surfaces that others measured, too."""
+    counts = np.bincount(solution.shared.sensor, minlength=len(names))
+    found = zip(names, counts.tolist(), solution.noise.white.tolist(), strict=True)
+    return {name: FitError(count, "m", rms) for name, count, rms in found if count}

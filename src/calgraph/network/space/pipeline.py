@@ -1,0 +1,108 @@
+"""Networks in space: from one recording of people walking through a hall to the poses of its 3-D LiDARs."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calgraph.config import Lidar3dSpec, Rig
+from calgraph.errors import InputError, Rejected
+from calgraph.geometry import Array
+from calgraph.network.checks.findings import collect_network_findings
+from calgraph.network.options import NetworkOptions
+from calgraph.network.space.assemble import SpaceResult, assemble_space
+from calgraph.network.space.joint import SpaceSolution, solve_space
+from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.observe import observe_clouds
+from calgraph.network.space.start import SpaceStart, start_in_space
+from calgraph.network.space.static_directions import CloudSplitter
+from calgraph.parallel.progress import Progress
+from calgraph.recording import Recording
+from calgraph.recording.input_checks import InputMonitor
+from calgraph.result import Calibration
+from calgraph.result.finding import Finding
+from calgraph.sensors import PointCloud
+
+# Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
+_PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
+
+
+def calibrate_in_space(
+    rig: Rig,
+    recording: Recording,
+    options: NetworkOptions,
+    monitor: InputMonitor,
+    findings: Sequence[Finding],
+    progress: Progress,
+) -> Calibration:
+    """Calibrates stationary 3-D LiDARs from people who walk through their views.
+
+    Args:
+        rig: the network.
+        recording: of its sensors, by one clock.
+        options: how to calibrate.
+        monitor: observes the messages.
+        findings: of clocks.
+        progress: called with the step and the fraction done.
+
+    Raises:
+        InputError: a sensor is no 3-D LiDAR, or options of planar networks.
+    """
+    if options.extend is not None or options.select_method(rig.settings.published).estimator != "joint":
+        raise InputError(
+            "`estimator`: networks with 3-D LiDARs are solved jointly, and cannot be extended, as yet"
+        )
+    observed, frames = _observe(rig, recording, options, monitor, progress)
+    findings = [*findings, *monitor.findings()]
+    measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
+    rng = np.random.default_rng(options.seed)
+    start = start_in_space(rig, measured, options, rng, progress)
+    findings += [*start.corrected.findings, *collect_network_findings({}, start.initialization, recording.start)]
+    solution = _solve(rig, measured, start, progress) if len(start.states) > 1 else None
+    return assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
+
+
+def _observe(
+    rig: Rig, recording: Recording, options: NetworkOptions, monitor: InputMonitor, progress: Progress
+) -> tuple[dict[str, SpaceObservations | Rejected], dict[str, str]]:
+    """What each sensor measured, and the frames that messages state."""
+    specs = {name: _lidar_spec(name, spec) for name, spec in rig.sensors.items()}
+    names = {rig.topics[name]: name for name in specs}
+    splitters = {name: CloudSplitter() for name in specs}
+    frames: dict[str, str] = {}
+    for record in monitor.observe(recording.records(list(names))):
+        name, message = names[record.topic], record.decode()
+        if isinstance(message, PointCloud):
+            frames.setdefault(name, message.frame_id)
+            splitters[name].add(message)
+        progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+    observed: dict[str, SpaceObservations | Rejected] = {}
+    for k, (name, spec) in enumerate(specs.items()):
+        rng = np.random.default_rng([options.seed, k])
+        observed[name] = observe_clouds(splitters.pop(name), spec, rig.settings.tracking, rng)
+        progress("tracking", (k + 1) / len(specs))
+    return observed, frames
+
+
+def _lidar_spec(name: str, spec: object) -> Lidar3dSpec:
+    if not isinstance(spec, Lidar3dSpec):
+        raise InputError(f"sensors.{name}.kind: a network with 3-D LiDARs has these only, as yet")
+    return spec
+
+
+def _solve(
+    rig: Rig, measured: Mapping[str, SpaceObservations], start: SpaceStart, progress: Progress
+) -> SpaceSolution:
+    names = list(start.states)
+    return solve_space(
+        [measured[name] for name in names],
+        list(start.states.values()),
+        np.array([_state_stddev(rig, name) for name in names]),
+        lambda done: progress("solving", done),
+    )
+
+
+def _state_stddev(rig: Rig, name: str) -> Array:
+    """(9,) of the start of a sensor; see :class:`SpaceState`."""
+    stated = _lidar_spec(name, rig.sensors[name]).uncertainty
+    pose = [*[_PLACE_STDDEV] * 3, *[_ROTATION_STDDEV] * 3, _CLOCK_STDDEV]
+    return np.array([*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale])
