@@ -138,16 +138,44 @@ def measure(
         own: constant errors of this scanner.
         rng: for the noise.
     """
+    directions = turn_beams(T_world_sensor, columns, errors, own, rng)
+    hits, on_glass = cast_world(world.surfaces, T_world_sensor, columns, directions, sensor.max_range)
+    for body in world.bodies:
+        _add_body(hits, body, T_world_sensor, columns, directions, sensor.max_range)
+    return add_errors(hits, on_glass, columns, sensor, errors, own, rng)
+
+
+def turn_beams(
+    T_world_sensor: Array, columns: Columns, errors: RangeErrors, own: ScannerErrors, rng: np.random.Generator
+) -> Array:
+    """The true directions (3, G * B) of beams in the world, which deviate from the stated ones."""
     shape = columns.elevations.shape
     azimuths = columns.azimuths[:, None] + np.radians(errors.direction_noise) * rng.normal(size=shape)
     local = beam_directions(azimuths, columns.elevations + own.ring_elevations)
-    directions = np.einsum("gij,gbj->igb", T_world_sensor[:, :3, :3], local, optimize=True).reshape(3, -1)
-    opaque = [surface for surface in world.surfaces if not surface.glass]
-    hits = _cast(opaque, T_world_sensor, columns, directions, sensor.max_range)
-    for body in world.bodies:
-        _add_body(hits, body, T_world_sensor, columns, directions, sensor.max_range)
-    panes = [surface for surface in world.surfaces if surface.glass]
-    on_glass = _cast(panes, T_world_sensor, columns, directions, sensor.max_range) if panes else hits
+    turned = np.einsum("gij,gbj->igb", T_world_sensor[:, :3, :3], local, optimize=True)
+    return np.asarray(turned.reshape(3, -1))
+
+
+def cast_world(
+    surfaces: Sequence[Surface], T_world_sensor: Array, columns: Columns, directions: Array, max_range: float
+) -> tuple[Hits, Hits]:
+    """What beams with directions (3, G * B) hit behind all glass, and the panes that they hit."""
+    opaque, panes = ([one for one in surfaces if one.glass == glass] for glass in (False, True))
+    hits = _cast(opaque, T_world_sensor, columns, directions, max_range)
+    return hits, _cast(panes, T_world_sensor, columns, directions, max_range) if panes else hits
+
+
+def add_errors(
+    hits: Hits,
+    on_glass: Hits,
+    columns: Columns,
+    sensor: DriveSensor,
+    errors: RangeErrors,
+    own: ScannerErrors,
+    rng: np.random.Generator,
+) -> Array:
+    """The measured ranges (G, B) of what beams hit, m; NaN without a return."""
+    shape = columns.elevations.shape
     struck = on_glass.ranges < hits.ranges
     chance = rng.random(struck.shape)
     pane = struck & (chance < _GLASS_RETURNS)

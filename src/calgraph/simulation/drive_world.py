@@ -96,18 +96,18 @@ def build_world(
     layout = LAYOUTS[kind]
     # Buildings are not aligned with the frame in which poses are stated.
     angle = float(route.yaws[0]) if kind == "corridor" else rng.uniform(-np.pi, np.pi)
-    T_world_building = _upright(np.zeros(3), angle)
+    T_world_building = upright(np.zeros(3), angle)
     path = route.positions[:: int(0.2 / INTERVAL)] @ T_world_building[:2, :2]
     margins = rng.uniform(*layout.margin, (2, 2)) + [[clearance], [clearance]] * np.array(kind != "corridor")
     bounds = np.stack([path.min(axis=0) - margins[0], path.max(axis=0) + margins[1]])
-    floor = _relief(_FLOOR_SIZE, _FLOOR_SIZE, layout.floor_relief if uneven else 0.0, rng)
-    built = _build_walls(layout, bounds, rng)
+    floor = build_relief(_FLOOR_SIZE, _FLOOR_SIZE, layout.floor_relief if uneven else 0.0, rng)
+    built = build_walls(layout, bounds, rng)
     built += _draw_clutter(layout, bounds, path, clearance, rng)
     if layout.walls and kind != "corridor":
         for _ in range(glass):
             pane = RectangleShape(rng.uniform(1.0, 3.0), 2.2)
             place = _draw_place(bounds, path, clearance + pane.width / 2, rng)
-            built.append(Surface(pane, _upright([*place, 1.1], rng.uniform(0, np.pi)) @ _STANDING, 0.3, True))
+            built.append(Surface(pane, upright([*place, 1.1], rng.uniform(0, np.pi)) @ _STANDING, 0.3, True))
     surfaces = [Surface(s.shape, T_world_building @ s.T_world_shape, s.reflectivity, s.glass) for s in built]
     surfaces.append(Surface(floor, np.eye(4), rng.uniform(0.15, 0.5)))
     if ramps:
@@ -115,7 +115,7 @@ def build_world(
     return DriveWorld(floor, tuple(surfaces), ())
 
 
-def _build_walls(layout: Layout, bounds: Array, rng: np.random.Generator) -> list[Surface]:
+def build_walls(layout: Layout, bounds: Array, rng: np.random.Generator) -> list[Surface]:
     """Walls with pilasters, ledges and panels, neither exactly upright nor square, and the ceiling with beams."""
     height = rng.uniform(*layout.height)
     centre, size = bounds.mean(axis=0), np.ptp(bounds, axis=0)
@@ -132,7 +132,7 @@ def _build_walls(layout: Layout, bounds: Array, rng: np.random.Generator) -> lis
         # x along the wall, y up, z into the room.
         R = np.column_stack([np.cross([0.0, 0, 1], -toward), [0.0, 0, 1], -toward])
         T = se3.pose(so3.exp(lean) @ R, place)
-        surfaces.append(Surface(_relief(width, height, layout.wall_relief, rng), T, rng.uniform(0.3, 0.9)))
+        surfaces.append(Surface(build_relief(width, height, layout.wall_relief, rng), T, rng.uniform(0.3, 0.9)))
         for _ in range(layout.reliefs):
             depth = rng.choice([rng.uniform(0.02, 0.05), rng.uniform(0.1, 0.3)])
             tall, long = rng.uniform(0.4, 1.0) * height, rng.uniform(0.2, 0.8)
@@ -145,11 +145,11 @@ def _build_walls(layout: Layout, bounds: Array, rng: np.random.Generator) -> lis
     if layout.ceiling:
         low = se3.pose(so3.exp(np.array([np.pi, 0, 0])), np.append(centre, height))
         length = 1.2 * size[0] + 1 if layout.reliefs else _FLOOR_SIZE
-        surfaces.append(Surface(_relief(length, 1.2 * size[1] + 1, layout.wall_relief, rng), low, 0.8))
+        surfaces.append(Surface(build_relief(length, 1.2 * size[1] + 1, layout.wall_relief, rng), low, 0.8))
         for _ in range(layout.reliefs // 2):
             place = [rng.uniform(*bounds[:, 0]), centre[1], height]
             beam = BoxShape(rng.uniform(0.15, 0.4), 1.2 * size[1], rng.uniform(0.2, 0.8))
-            surfaces.append(Surface(beam, _upright(place, rng.normal(0, 0.02)), 0.5))
+            surfaces.append(Surface(beam, upright(place, rng.normal(0, 0.02)), 0.5))
             pipe = CylinderShape(rng.uniform(0.05, 0.25), 1.1 * size[0])
             along = np.column_stack([[0.0, 1, 0], [0.0, 0, 1], [1.0, 0, 0]])
             above = np.array([centre[0], rng.uniform(*bounds[:, 1]), height - rng.uniform(0.2, 0.6)])
@@ -173,35 +173,35 @@ def _draw_clutter(
         if kind < 0.6:
             length, width, height = big * rng.uniform([0.3, 0.2, 0.3], [1.4, 1.0, 1.6])
             place = _draw_place(bounds, path, clearance + np.hypot(length, width) / 2, rng)
-            T = _upright([*place, height / 2 - 0.05], yaw)
+            T = upright([*place, height / 2 - 0.05], yaw)
             if kind < 0.25:
                 T[:3, :3] = so3.exp(np.radians(25) * lean / np.linalg.norm(lean)) @ T[:3, :3]
             add(BoxShape(length, width, height), T)
         elif kind < 0.75:
             radius, height = rng.uniform(0.08, 0.4), rng.uniform(1.0, 5.0)
             place = _draw_place(bounds, path, clearance + radius, rng)
-            add(CylinderShape(radius, height), _upright([*place, height / 2 - 0.05], yaw))
+            add(CylinderShape(radius, height), upright([*place, height / 2 - 0.05], yaw))
         elif kind < 0.85:
             radius = rng.uniform(0.2, 0.6)
             place = _draw_place(bounds, path, clearance + radius, rng)
-            add(SphereShape(radius), _upright([*place, rng.uniform(0.8, 3.0) * radius], 0.0))
+            add(SphereShape(radius), upright([*place, rng.uniform(0.8, 3.0) * radius], 0.0))
         else:
             board = RectangleShape(*big * rng.uniform(0.8, 1.8, 2))
             place = _draw_place(bounds, path, clearance + board.bounding_radius, rng)
-            T = _upright([*place, rng.uniform(0.4, 1.2)], yaw)
+            T = upright([*place, rng.uniform(0.4, 1.2)], yaw)
             T[:3, :3] = T[:3, :3] @ so3.exp(np.array([np.radians(rng.uniform(25, 85)), 0, 0]))
             add(board, T)
     for _ in range(layout.trees):
         place = _draw_place(bounds, path, clearance + 0.4, rng)
         height, radius = rng.uniform(2.0, 4.0), rng.uniform(0.1, 0.3)
-        trunk = _upright([*place, height / 2 - 0.1], 0.0)
+        trunk = upright([*place, height / 2 - 0.1], 0.0)
         trunk[:3, :3] = so3.exp(rng.normal(0, 0.06, 3))
         add(CylinderShape(radius, height), trunk)
         for _ in range(3):
             crown = np.append(place, height + 0.5) + rng.normal(0, 0.7, 3)
-            add(SphereShape(rng.uniform(0.6, 1.3)), _upright(crown, 0.0))
+            add(SphereShape(rng.uniform(0.6, 1.3)), upright(crown, 0.0))
         car = _draw_place(bounds, path, clearance + 2.4, rng)
-        T = _upright([*car, 0.0], rng.uniform(-np.pi, np.pi))
+        T = upright([*car, 0.0], rng.uniform(-np.pi, np.pi))
         surfaces += [
             Surface(part.shape, T @ part.T_world_shape, part.reflectivity)
             for part in (_car(rng) if rng.random() < 0.5 else ())
@@ -232,7 +232,7 @@ def _draw_ramps(kind: WorldKind, route: Route, rng: np.random.Generator) -> list
         gaps = route.positions[places, None] - route.positions[::20]
         at = int(places[np.argmin(np.sum(np.sum(gaps**2, axis=2) < shape.bounding_radius**2, axis=1))])
         yaw = float(route.yaws[at]) + rng.normal(0, 0.15)
-        surfaces.append(Surface(shape, _upright([*route.positions[at], 0.0], yaw), rng.uniform(0.2, 0.6)))
+        surfaces.append(Surface(shape, upright([*route.positions[at], 0.0], yaw), rng.uniform(0.2, 0.6)))
     return surfaces
 
 
@@ -267,8 +267,8 @@ def draw_bodies(
             + along[:, None] * ahead
         )
         parts = (
-            Surface(BoxShape(12.0, 2.5, 3.6), _upright([0.0, 0, 2.1], 0.0), 0.7),
-            Surface(BoxShape(2.0, 2.3, 2.8), _upright([7.2, 0, 1.7], 0.0), 0.5),
+            Surface(BoxShape(12.0, 2.5, 3.6), upright([0.0, 0, 2.1], 0.0), 0.7),
+            Surface(BoxShape(2.0, 2.3, 2.8), upright([7.2, 0, 1.7], 0.0), 0.5),
         )
         bodies.append(_body(parts, times, _keep_away(beside, robot, clearance + 1.6), yaws))
     return tuple(bodies)
@@ -292,10 +292,10 @@ def _draw_person(times: Array, robot: Array, clearance: float, rng: np.random.Ge
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
     swing = 0.25 * np.sin(2 * np.pi * 0.9 * times)[:, None] * ahead
     torso = (
-        Surface(CylinderShape(0.2, 0.65), _upright([0.0, 0, 1.15], 0.0), 0.4),
-        Surface(SphereShape(0.12), _upright([0.0, 0, 1.6], 0.0), 0.5),
+        Surface(CylinderShape(0.2, 0.65), upright([0.0, 0, 1.15], 0.0), 0.4),
+        Surface(SphereShape(0.12), upright([0.0, 0, 1.6], 0.0), 0.5),
     )
-    leg = (Surface(CylinderShape(0.08, 0.85), _upright([0.0, 0, 0.425], 0.0), 0.2),)
+    leg = (Surface(CylinderShape(0.08, 0.85), upright([0.0, 0, 0.425], 0.0), 0.2),)
     return [
         _body(torso, times, positions, yaws),
         _body(leg, times, positions + swing + 0.11 * left, yaws),
@@ -317,14 +317,14 @@ def _body(surfaces: Sequence[Surface], times: Array, positions: Array, yaws: Arr
 def _car(rng: np.random.Generator) -> list[Surface]:
     """A car's parts in its frame."""
     length, paint = rng.uniform(3.6, 4.8), float(rng.choice([0.08, 0.4, 0.8]))
-    cabin = _upright([-0.2, 0.0, 1.15], 0.0)
+    cabin = upright([-0.2, 0.0, 1.15], 0.0)
     cabin[:3, :3] = so3.exp(np.array([0.0, rng.normal(0, 0.03), 0.0]))
     wheels = [
-        Surface(CylinderShape(0.32, 0.2), _upright([x, y, 0.32], 0.0) @ _STANDING, 0.06)
+        Surface(CylinderShape(0.32, 0.2), upright([x, y, 0.32], 0.0) @ _STANDING, 0.06)
         for x in (-0.3 * length, 0.3 * length)
         for y in (-0.75, 0.75)
     ]
-    body = Surface(BoxShape(length, 1.75, 0.6), _upright([0.0, 0.0, 0.6], 0.0), paint)
+    body = Surface(BoxShape(length, 1.75, 0.6), upright([0.0, 0.0, 0.6], 0.0), paint)
     return [body, Surface(BoxShape(0.5 * length, 1.5, 0.6), cabin, paint), *wheels]
 
 
@@ -338,7 +338,7 @@ def _draw_place(bounds: Array, path: Array, clearance: float, rng: np.random.Gen
     return np.asarray(corner)
 
 
-def _relief(width: float, height: float, amplitude: float, rng: np.random.Generator) -> ReliefShape:
+def build_relief(width: float, height: float, amplitude: float, rng: np.random.Generator) -> ReliefShape:
     """A rectangle with five waves of 1 to 6 m; their sum has about the given amplitude."""
     count = 5 if amplitude else 0
     angles, lengths = rng.uniform(0, np.pi, count), rng.uniform(1.0, 6.0, count)
@@ -352,6 +352,6 @@ _STANDING = se3.pose(so3.exp(np.array([np.pi / 2, 0.0, 0.0])), np.zeros(3))
 """Turns a shape's z to -y: rectangles stand, cylinders are axles across."""
 
 
-def _upright(place: Sequence[float] | Array, yaw: float) -> Array:
+def upright(place: Sequence[float] | Array, yaw: float) -> Array:
     """(4, 4) of a shape that is turned about the vertical only."""
     return se3.pose(so3.exp(np.array([0.0, 0.0, yaw])), np.asarray(place, dtype=np.float64))

@@ -1,0 +1,330 @@
+"""Halls: walls with pilasters, doors, pillars, shelves, tables, panes and mirrors, and what moves in them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calgraph.geometry import Array, se3, so3
+from calgraph.simulation.drive_surfaces import ReliefShape, Surface
+from calgraph.simulation.drive_world import Layout, build_relief, build_walls, upright
+from calgraph.simulation.hall_bodies import Mover, Part, place_box
+from calgraph.simulation.hall_people import add_person
+from calgraph.simulation.hall_scenario import HallScenario
+from calgraph.simulation.network_floor import Floor, find_free_space, rectangle
+from calgraph.simulation.network_people import form_parties, separate_people
+from calgraph.simulation.network_scenario import PeopleOptions
+from calgraph.simulation.network_walks import SAMPLE_INTERVAL, Party, SimulatedWalk, body_clearance, draw_walks
+from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape
+
+_LENGTHS, _WIDTHS = (12.0, 25.0), (10.0, 18.0)
+"""Of halls, m."""
+_HALL = Layout((0.0, 0.0), (0.0, 0.0), (4.5, 7.0), True, (0, 1, 2, 3), 7, 0, 0, 0.004, 0.005)
+"""Walls with pilasters, ledges and panels; waves of floor and walls of 4 and 5 mm."""
+_CART_SIZE = (1.2, 0.8)
+"""Length and width of a vehicle, m."""
+_PASSAGE = 1.0
+"""Least distance of furniture from furniture, m."""
+_STANDING = so3.exp(np.array([np.pi / 2, 0.0, 0.0]))
+_RISE, _TREAD = 0.16, 0.3
+"""Of steps, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hall:
+    """A hall with its floor at z = 0 in its middle, and what moves in it."""
+
+    size: Array
+    """(3,) length, width and height, m; its middle is at x = y = 0."""
+    surfaces: tuple[Surface, ...]
+    mirrors: tuple[Surface, ...]
+    """Rectangles that reflect from their +z side."""
+    movers: tuple[Mover, ...]
+    walks: tuple[SimulatedWalk, ...]
+    """Of people, then of vehicles."""
+    ground: Callable[[Array], Array]
+    """Height (N,) of the floor at (N, 2), m."""
+    furniture: Array
+    """(F, 3) circles that hold the furniture: x, y, radius, m."""
+
+
+def build_hall(scenario: HallScenario) -> Hall:
+    """Draws a hall and what moves in it.
+
+    Raises:
+        InputError: there are too many people for it.
+    """
+    rng, walk_rng, people_rng, chair_rng = (np.random.default_rng((scenario.seed, k)) for k in range(4))
+    size = np.array([rng.uniform(*_LENGTHS), rng.uniform(*_WIDTHS), rng.uniform(*_HALL.height)])
+    size[2] = max(size[2], 6.5 * scenario.high)
+    half = size[:2] / 2
+    layout = replace(_HALL, height=(size[2], size[2]))
+    surfaces = build_walls(layout, np.stack([-half, half]), rng)
+    floor, ground = _lay_floor(scenario, size, rng)
+    surfaces += floor
+    surfaces += _hang_doors(half, rng)
+    furniture, obstacles = _furnish(size, ground, scenario.glass, rng)
+    surfaces += furniture
+    mirrors = tuple(
+        Surface(RectangleShape(2.0, 2.0), _on_wall(half, int(side), rng.uniform(-0.4, 0.4), 1.2, 0.35), 0.5)
+        for side in rng.permutation(4)[: scenario.mirrors]
+    )
+    walks, carts = _draw_paths(scenario, half, obstacles, walk_rng)
+    options = _people_options(scenario)
+    movers = [add_person(walk, options, ground, people_rng) for walk in walks]
+    movers += [_drive_cart(walk, ground, people_rng) for walk in carts]
+    movers += _move_chairs(scenario, half, ground, chair_rng) + _move_doors(scenario, half, chair_rng)
+    circles = [[*one.mean(axis=0), np.linalg.norm(np.ptp(one, axis=0)) / 2] for one in obstacles]
+    return Hall(
+        size, tuple(surfaces), mirrors, tuple(movers), (*walks, *carts), ground, np.reshape(circles, (-1, 3))
+    )
+
+
+def _lay_floor(
+    scenario: HallScenario, size: Array, rng: np.random.Generator
+) -> tuple[list[Surface], Callable[[Array], Array]]:
+    """The floor, which falls by half of its slope in one direction, and is a valley or ridge by the other half."""
+    relief = build_relief(60.0, 60.0, _HALL.floor_relief, rng)
+    angles, length = rng.uniform(-np.pi, np.pi, 2), 2.2 * float(size[0])
+    share = rng.uniform(0.3, 1.0) if scenario.floor_slope <= 0.01 else 1.0
+    valley = 0.5 * share * scenario.floor_slope * length / (2 * np.pi)
+    fall = 0.5 * share * scenario.floor_slope * np.array([np.cos(angles[1]), np.sin(angles[1])])
+    wave = 2 * np.pi / length * np.array([np.cos(angles[0]), np.sin(angles[0])])
+    shape = ReliefShape(
+        relief.width, relief.height, np.append(relief.amplitudes, valley),
+        np.vstack([relief.wave_vectors, wave]), np.append(relief.phases, rng.uniform(0, 2 * np.pi)),
+    )  # fmt: skip
+    lowered = -float(shape.height_at(np.zeros((1, 2)))[0])
+    R = so3.exp(np.array([fall[1], -fall[0], 0.0]))
+    surfaces = [Surface(shape, se3.pose(R, np.array([0.0, 0.0, lowered])), rng.uniform(0.15, 0.5))]
+    steps = int(rng.integers(2, 6)) if scenario.stairs else 0
+    begin, sign = rng.uniform(0.05, 0.2) * size[0], rng.choice([-1.0, 1.0])
+    for k in range(steps):
+        length = size[0] / 2 + 1 - begin - k * _TREAD
+        middle = sign * (begin + k * _TREAD + length / 2)
+        # From far below the floor to the height of the step.
+        box = BoxShape(length, float(size[1]) + 2, 2.0)
+        surfaces.append(Surface(box, upright([middle, 0.0, (k + 1) * _RISE - 1.0], 0.0), 0.4))
+
+    def ground(xy: Array) -> Array:
+        height = lowered + shape.height_at(xy) + xy @ fall
+        on = np.clip(np.floor((sign * xy[:, 0] - begin) / _TREAD) + 1, 0, steps)
+        return np.where(on > 0, np.maximum(height, on * _RISE), height)
+
+    return surfaces, ground
+
+
+def _on_wall(half: Array, side: int, along: float, height: float, standoff: float) -> Array:
+    """(4, 4) of what hangs on a wall: x along it, y up, z into the hall; ``along`` as a share of its length."""
+    facing = np.pi / 2 * side
+    toward = np.array([np.cos(facing), np.sin(facing), 0.0])
+    across, length = half[side % 2], 2 * half[1 - side % 2]
+    x = np.cross([0.0, 0, 1], -toward)
+    place = (across - standoff) * toward + along * length * x + [0.0, 0, height]
+    return se3.pose(np.column_stack([x, [0.0, 0, 1], -toward]), place)
+
+
+def _hang_doors(half: Array, rng: np.random.Generator) -> list[Surface]:
+    """Doors with frames: leaves lie 5 to 10 cm behind the front of their frames."""
+    surfaces = []
+    for _ in range(3):
+        T = _on_wall(half, int(rng.integers(4)), rng.uniform(-0.4, 0.4), 0.0, rng.uniform(0.0, 0.03))
+        width, depth = rng.uniform(0.9, 2.0), rng.uniform(0.1, 0.2)
+        for x, y, w, h in (
+            (-width / 2 - 0.08, 1.05, 0.16, 2.1), (width / 2 + 0.08, 1.05, 0.16, 2.1), (0.0, 2.2, width + 0.3, 0.2)
+        ):  # fmt: skip
+            frame = BoxShape(w, h, 2 * depth)
+            surfaces.append(Surface(frame, T @ se3.pose(np.eye(3), np.array([x, y, 0.0])), 0.6))
+        leaf = BoxShape(width, 2.1, 0.08)
+        surfaces.append(Surface(leaf, T @ se3.pose(np.eye(3), np.array([0.0, 1.05, 0.0])), 0.5))
+    return surfaces
+
+
+def _furnish(
+    size: Array, ground: Callable[[Array], Array], glass: int, rng: np.random.Generator
+) -> tuple[list[Surface], list[Array]]:
+    """Pillars, shelves, tables, crates and panes; and what they cover of the floor, as polygons (4, 2), m."""
+    surfaces: list[Surface] = []
+    obstacles: list[Array] = []
+    half = size[:2] / 2
+    kinds = [*rng.choice(["pillar", "shelf", "table", "crate"], int(rng.integers(5, 11))), *glass * ["pane"]]
+    circles: list[tuple[float, float, float]] = []
+    for kind in kinds:
+        length, width = {
+            "pillar": (0.4, 0.4), "shelf": (rng.uniform(1, 3), 0.5), "table": (rng.uniform(1.2, 2), 0.8),
+            "crate": tuple(rng.uniform(0.5, 1.2, 2)), "pane": (rng.uniform(1.5, 3), 0.1),
+        }[str(kind)]  # fmt: skip
+        radius = float(np.hypot(length, width)) / 2
+        for _ in range(60):
+            place = rng.uniform(-half + radius + 0.3, half - radius - 0.3)
+            # The middle of the hall stays free, as installers choose where people walk.
+            free = np.hypot(*place) > 2.0 + radius
+            if free and all(np.hypot(*(place - one[:2])) > radius + one[2] + _PASSAGE for one in circles):
+                break
+        else:
+            continue
+        yaw = rng.choice([0, np.pi / 2]) + rng.normal(0, 0.1)
+        circles.append((*place, radius))
+        obstacles.append(rectangle(place, (length, width), yaw))
+        base = float(ground(place[None])[0])
+        T = upright([*place, base], yaw)
+
+        def add(shape: BoxShape | CylinderShape, x: float, y: float, z: float, T: Array = T) -> None:
+            grey = float(rng.choice([0.1, 0.3, 0.5, 0.8]))
+            surfaces.append(Surface(shape, T @ se3.pose(np.eye(3), np.array([x, y, z])), grey))
+
+        if kind == "pillar":
+            round_ = (
+                CylinderShape(0.2, float(size[2])) if rng.random() < 0.5 else BoxShape(0.4, 0.4, float(size[2]))
+            )
+            add(round_, 0, 0, size[2] / 2)
+        elif kind == "shelf":
+            for z in np.arange(0.1, rng.uniform(1.6, 2.4), 0.45):
+                add(BoxShape(length, width, 0.03), 0, 0, z)
+                if rng.random() < 0.7:
+                    add(BoxShape(length * rng.uniform(0.3, 0.9), 0.4, 0.3), 0, 0, z + 0.16)
+            for x in (-length / 2, length / 2):
+                add(BoxShape(0.04, width, 2.2), x, 0, 1.1)
+        elif kind == "table":
+            add(BoxShape(length, width, 0.03), 0, 0, 0.74)
+            for x in (-1, 1):
+                for y in (-1, 1):
+                    add(CylinderShape(0.025, 0.73), x * (length / 2 - 0.08), y * (width / 2 - 0.08), 0.365)
+        elif kind == "crate":
+            height = rng.uniform(0.4, 1.6)
+            add(BoxShape(length, width, height), 0, 0, height / 2)
+        else:
+            pane = se3.pose(_STANDING, np.array([0.0, 0, 1.1]))
+            surfaces.append(Surface(RectangleShape(length, 2.2), T @ pane, 0.3, glass=True))
+    return surfaces, obstacles
+
+
+def _people_options(scenario: HallScenario) -> PeopleOptions:
+    return PeopleOptions(
+        shape="legs", count=scenario.people, couples=scenario.couples, speed=1.1, speed_spread=0.3, stop_every=12.0
+    )
+
+
+def _draw_paths(
+    scenario: HallScenario, half: Array, obstacles: list[Array], rng: np.random.Generator
+) -> tuple[tuple[SimulatedWalk, ...], tuple[SimulatedWalk, ...]]:
+    """Walks of people, and of vehicles."""
+    # Pilasters, doors and mirrors take up to 0.4 m of the floor along the walls.
+    floor = Floor(rectangle(np.zeros(2), 2 * half - 0.8), True, tuple(obstacles))
+    options = _people_options(scenario)
+
+    def find_space(reach: float) -> Party:
+        return Party(reach, find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3))))
+
+    parties = form_parties(options, lambda reach: find_space(reach).free_space)
+    vehicles = [find_space(float(np.hypot(*_CART_SIZE)) / 2) for _ in range(scenario.carts)]
+    walks = draw_walks([*parties, *vehicles], np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
+    people = separate_people(options, walks[: len(parties)], rng)
+    return people, walks[len(parties) :]
+
+
+def _samples(walk: SimulatedWalk, times: Array) -> tuple[Array, Array]:
+    """Places (2, G) and headings (G,)."""
+    last = walk.start + SAMPLE_INTERVAL * (len(walk.positions) - 1)
+    places, headings = walk.pose_at(np.clip(times, walk.start, last - 1e-6))
+    return places.T, headings
+
+
+def _turn(yaw: Array) -> Array:
+    """(3, 3, G) about the vertical."""
+    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    return np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+
+
+def _build_mover(
+    pose: Callable[[Array], tuple[Array, Array]],
+    boxes: list[tuple[tuple[float, float, float], tuple[float, float, float]]],
+    grey: float,
+) -> Mover:
+    """Boxes, by middle and half edges, in a frame at places (3, G) on the floor with yaws (G,)."""
+    corners = np.abs([middle for middle, _ in boxes]) + [size for _, size in boxes]
+    radius, height = float(np.linalg.norm(corners[:, :2], axis=1).max()), float(corners[:, 2].max())
+
+    def parts(times: Array) -> list[Part]:
+        place, yaw = pose(times)
+        R = _turn(yaw)
+        return [
+            place_box(R, place + np.einsum("ijg,j->ig", R, np.array(middle)), size, grey) for middle, size in boxes
+        ]
+
+    return Mover(lambda times: pose(times)[0], radius, height, parts)
+
+
+def _drive_cart(walk: SimulatedWalk, ground: Callable[[Array], Array], rng: np.random.Generator) -> Mover:
+    """A vehicle with a load and a mast."""
+    length, width = np.array(_CART_SIZE) / 2
+    load = rng.uniform(0.3, 0.7)
+
+    def pose(times: Array) -> tuple[Array, Array]:
+        places, yaw = _samples(walk, times)
+        return np.concatenate([places, [ground(places.T)]]), yaw
+
+    boxes = [
+        ((0.0, 0.0, 0.25), (float(length), float(width), 0.15)),
+        ((-0.1, 0.0, 0.4 + load), (0.4, 0.35, float(load))),
+        ((0.5, 0.0, 0.9), (0.05, 0.3, 0.75)),
+    ]
+    return _build_mover(pose, boxes, 0.5)
+
+
+def _hold(values: Array, changes: Array, times: Array, seconds: float) -> Array:
+    """(..., G) values (..., M + 1) of which one holds until each of changes (M,), and the next from then on."""
+    knots = np.sort(np.concatenate([changes, changes + seconds]))
+    held = np.repeat(values, 2, axis=-1)[..., 1:-1]
+    return (
+        np.stack([np.interp(times, knots, row) for row in np.atleast_2d(held)])
+        if len(knots)
+        else np.repeat(np.atleast_2d(values[..., :1]), len(times), axis=1)
+    )
+
+
+def _move_chairs(
+    scenario: HallScenario, half: Array, ground: Callable[[Array], Array], rng: np.random.Generator
+) -> list[Mover]:
+    """Chairs that stand for a while, and are moved by some decimetres."""
+    boxes = [((0.0, 0.0, 0.45), (0.22, 0.22, 0.025)), ((-0.21, 0.0, 0.7), (0.015, 0.2, 0.22))]
+    boxes += [((x, y, 0.22), (0.015, 0.015, 0.22)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    movers = []
+    for _ in range(scenario.moved):
+        changes = _draw_changes(scenario, rng)
+        places = rng.uniform(-half + 1, half - 1) + np.cumsum(rng.normal(0, 0.4, (len(changes) + 1, 2)), axis=0)
+        yaws = np.cumsum(rng.normal(0, 0.7, len(changes) + 1))
+
+        values = np.vstack([places.T, yaws])
+
+        def pose(times: Array, values: Array = values, at: Array = changes) -> tuple[Array, Array]:
+            x, y, yaw = _hold(values, at, times, 1.5)
+            return np.stack([x, y, ground(np.stack([x, y], axis=1))]), yaw
+
+        movers.append(_build_mover(pose, boxes, 0.3))
+    return movers
+
+
+def _move_doors(scenario: HallScenario, half: Array, rng: np.random.Generator) -> list[Mover]:
+    """Leaves of doors, which turn about hinges on walls."""
+    movers = []
+    for _ in range(scenario.moved):
+        T = _on_wall(half, int(rng.integers(4)), rng.uniform(-0.4, 0.4), 0.0, 0.3)
+        changes = _draw_changes(scenario, rng)
+        closed = float(np.arctan2(T[1, 0], T[0, 0]))
+        angles = closed + np.where(np.arange(len(changes) + 1) % 2, rng.uniform(0.5, 1.8), 0.0)
+
+        def pose(
+            times: Array, values: Array = angles, at: Array = changes, hinge: Array = T[:3, 3:]
+        ) -> tuple[Array, Array]:
+            return np.repeat(hinge, len(times), axis=1), _hold(values, at, times, 1.5)[0]
+
+        movers.append(_build_mover(pose, [((0.5, 0.0, 1.02), (0.45, 0.02, 1.02))], 0.5))
+    return movers
+
+
+def _draw_changes(scenario: HallScenario, rng: np.random.Generator) -> Array:
+    """(M,) ascending times, s, at least 4 s apart."""
+    slots = max(int(scenario.duration / 8), 1)
+    count = min(int(rng.integers(1, 4)), slots)
+    return np.sort(8.0 * rng.choice(slots, count, replace=False) + rng.uniform(0.5, 3.0, count))
