@@ -83,7 +83,7 @@ def test_a_network_starts_within_15_cm(seed: int) -> None:
     observed = {name: observe(hall, lidar, rng) for name, lidar in lidars.items()}
     rig = Rig(root="lidar_0", target=People(), sensors={name: Lidar3dSpec(topic=name) for name in lidars})
     states = start_in_space(rig, observed, NetworkOptions(), rng, no_progress).states
-    assert list(states)[0] == "lidar_0"
+    assert next(iter(states)) == "lidar_0"
     assert set(states) == set(lidars)
     for name, state in states.items():
         T = se3.inverse(states["lidar_0"].T_world_sensor) @ state.T_world_sensor

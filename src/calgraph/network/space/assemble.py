@@ -84,11 +84,10 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             )
         )
     planar = _project_poses(names, states, result.observed)
-    poses = {
-        (a, b): (planar[a], planar[b]) for a, b in (tuple(initial.names[i] for i in e) for e in inliers.edges)
-    }
+    pairs = [(initial.names[a], initial.names[b]) for a, b in inliers.edges.tolist()]
+    poses = {(a, b): (planar[a], planar[b]) for a, b in pairs}
     tracked: dict[str, ScannerTracks | Rejected] = {
-        name: result.start.corrected.tracked.get(name, one) if isinstance(one, SpaceObservations) else one
+        name: one if isinstance(one, Rejected) else start.corrected.tracked[name]
         for name, one in result.observed.items()
     }
     samples = {}

@@ -38,14 +38,14 @@ _PERSON_GATES = (0.5, 0.4, 0.3, *[0.3] * 9)
 _SURFACE_GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 7)
 # Last steps, on persons and surfaces that stay the same, so that they converge.
 _FIXED_STEPS = 6
-# Start values of standard deviations: of samples over their first guesses, and of their views, m; of points, and of
-# the views of surfaces, m.
+# Start values of standard deviations: of samples over their first guesses, and of their views, m; of points, and
+# of the views of surfaces, m.
 _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones of these.
 _MIN_SCALE, _MIN_BODY_VIEW, _MIN_WHITE, _MIN_VIEW = 0.2, 0.003, 0.002, 0.0005
-# Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the probability
-# with which a difference is found where there is none.
+# Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the
+# probability with which a difference is found where there is none.
 _PLANAR = np.array([0, 1, 5])
 _SPLIT_STDDEV = np.array([1.0, 1.0, 0.2])
 _FALSE_ALARM = 0.001
@@ -151,7 +151,7 @@ def solve_space(
         sum_clusters(people.scores, people.source),
         sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
     ]
-    covariance = widen_by_clusters(np.linalg.inv(H), clusters)
+    covariance = widen_by_clusters(np.asarray(np.linalg.inv(H), dtype=np.float64), clusters)
     world = [place_points(state, one.static.points)[0] for state, one in zip(states, observations, strict=True)]
     return SpaceSolution(
         states, free, covariance[:count, :count], persons, people, shared, noise, body_noise, body,
@@ -163,7 +163,7 @@ def solve_space(
 
 def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
     columns = np.append(np.flatnonzero(free), [free.size, free.size + 1])
-    size = len(columns)
+    size, none = len(columns), np.zeros(0, dtype=np.intp)
     H, g = np.zeros((size, size)), np.zeros(size)
     for one in persons:
         H += one.information[np.ix_(columns, columns)]
@@ -172,7 +172,7 @@ def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) ->
         H, g,
         np.concatenate([np.zeros((0, size)), *(one.scores[:, columns] for one in persons)]),
         np.concatenate([np.zeros(0), *(one.view_time for one in persons)]),
-        np.concatenate([np.zeros(0, np.intp), *(one.view_sensor + len(free) * k for k, one in enumerate(persons))]),
+        np.concatenate([none, *(one.view_sensor + len(free) * k for k, one in enumerate(persons))]),
     )  # fmt: skip
 
 

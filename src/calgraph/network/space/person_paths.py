@@ -9,8 +9,8 @@ with the path c, a spline, the depth a of the axis behind the front and its chan
 and walk, and errors of shape b that are the same for all samples of a view: of one track, during a second. Errors
 of views are eliminated in closed form, then path and body of each person.
 
-Sources: Harville, "Maximum likelihood approaches to variance component estimation", 1977, for the variances; Lange,
-Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
+Sources: Harville, "Maximum likelihood approaches to variance component estimation", 1977, for the variances;
+Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
 """
 
 from collections.abc import Sequence

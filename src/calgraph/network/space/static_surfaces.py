@@ -1,15 +1,16 @@
-"""Surfaces that stand still, as several stationary sensors measure them: floors and walls, a plane in each cell."""
+"""Floors and walls as several stationary sensors measure them: a plane in each cell."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.space_states import BIAS, STATES, SpaceState, place_points
 from calgraph.surfaces.flat_cells import FlatCells, sum_moments
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
-from calgraph.surfaces.surface_points import CELL_LIMITS, THICKNESS_PER_GATE, SurfacePoints, fit_surfaces
+from calgraph.surfaces.surface_points import THICKNESS_PER_GATE, SurfacePoints, fit_surfaces
 
 # Points of one sensor within a cube of this size are one, m: errors of rings and of relief are common to them.
 _THINNED = 0.25
@@ -106,10 +107,7 @@ def _place(shared: SharedSurfaces, states: Sequence[SpaceState], beyond: Array) 
 
 
 def reduce_surfaces(
-    shared: SharedSurfaces, states: Sequence[SpaceState], noise: NoiseModel, free: Array
+    shared: SharedSurfaces, states: Sequence[SpaceState], noise: NoiseModel, free: NDArray[np.bool_]
 ) -> SurfaceEquations:
     """Normal equations of the free states (S, 9), with the surfaces eliminated."""
     return eliminate_surfaces(linearize_surfaces(shared, states), len(shared.surfaces.keys), noise, free, 0)
-
-
-CELL = CELL_LIMITS[3].cell
