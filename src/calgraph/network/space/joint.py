@@ -14,6 +14,7 @@ from scipy.special import chdtri
 from calgraph.geometry import Array, Index
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.person_paths import (
+    SHAPE,
     SHARED_MEAN,
     SHARED_STDDEV,
     BodyNoise,
@@ -22,6 +23,7 @@ from calgraph.network.space.person_paths import (
 )
 from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
 from calgraph.network.space.space_states import SpaceState, place_points
+from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
     find_shared_surfaces,
@@ -53,14 +55,14 @@ _FALSE_ALARM = 0.001
 
 @dataclass(frozen=True, eq=False)
 class PeopleEquations:
-    """Normal equations from all persons, of the P free states and the 2 unknowns that bodies share."""
+    """Normal equations from all persons, of the P free states and the 5 numbers that bodies share."""
 
     information: Array
-    """(P + 2, P + 2)."""
+    """(P + 5, P + 5)."""
     gradient: Array
-    """(P + 2,)."""
+    """(P + 5,)."""
     scores: Array
-    """(V, P + 2) what each view contributes to the gradient."""
+    """(V, P + 5) what each view contributes to the gradient."""
     time: Array
     """(V,) of these by the root's clock, s."""
     source: Index
@@ -96,7 +98,7 @@ class SpaceSolution:
     """Of static points."""
     body_noise: BodyNoise
     body: Array
-    """(2,) mean depth of bodies and its change with the aspect, m."""
+    """(5,) means of the numbers of a body."""
     agreement: Array
     """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
     contradiction: Sequence[Contradiction]
@@ -145,11 +147,12 @@ def solve_space(
         body = body + step[count:]
         body_noise, noise = _estimate_body_noise(reduced, body_noise), _estimate_noise(surfaces, noise)
         progress((k + 1) / len(_PERSON_GATES))
-    along = surfaces.scores.along(np.eye(count, count + 2))
+    along = surfaces.scores.along(np.eye(count, len(H)))
     clusters = [
         sum_clusters(people.scores, label_times(people.time)),
         sum_clusters(people.scores, people.source),
         sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
+        sum_clusters(along, _label_rings(shared)),
     ]
     covariance = widen_by_clusters(np.asarray(np.linalg.inv(H), dtype=np.float64), clusters)
     world = [place_points(state, one.static.points)[0] for state, one in zip(states, observations, strict=True)]
@@ -162,7 +165,7 @@ def solve_space(
 
 
 def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
-    columns = np.append(np.flatnonzero(free), [free.size, free.size + 1])
+    columns = np.append(np.flatnonzero(free), free.size + np.arange(SHAPE))
     size, none = len(columns), np.zeros(0, dtype=np.intp)
     H, g = np.zeros((size, size)), np.zeros(size)
     for one in persons:
@@ -176,12 +179,18 @@ def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) ->
     )  # fmt: skip
 
 
+def _label_rings(shared: SharedSurfaces) -> Index:
+    """(N,) number of the sensor and ring of each static point: errors of rings are the same everywhere."""
+    row = find_rows(shared.points)
+    return np.unique(shared.sensor * (int(row.max(initial=0)) + 1) + row, return_inverse=True)[1].ravel()
+
+
 def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
     """Rao's score test of another place and heading of each sensor for people than for surfaces.
 
     Args:
         people: their equations at the solution.
-        H: (P + 2, P + 2) information of people and surfaces.
+        H: (P + 5, P + 5) information of people and surfaces.
         free: (S, 9).
     """
     found = []

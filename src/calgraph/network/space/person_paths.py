@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, measure_lengths
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.space.persons import (
     FRONT,
@@ -32,14 +32,19 @@ from calgraph.network.space.persons import (
 )
 from calgraph.network.space.space_states import CLOCK, STATES, SpaceState
 
-SHARED_MEAN, SHARED_STDDEV = np.array([FRONT, 0.04]), np.array([0.04, 0.03])
-"""(2,) the mean over persons of a and a', m, and how well it is known before: an ellipse of 0.25 by 0.45 m has
-0.15 and 0.045 at its median beam."""
-# By which persons differ from the mean, m.
-_PERSON_STDDEV = np.array([0.02, 0.02])
+SHAPE = 6
+"""Numbers of a body: depth of the axis behind the front, its change with the aspect, that between front and back, m;
+lean, and change of the depth with height."""
+SHARED_MEAN, SHARED_STDDEV = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0]), np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
+"""(5,) the mean over persons, and how well it is known before: an ellipse of 0.25 by 0.45 m has 0.15 and 0.045 m at
+its median beam."""
+# By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
+_PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
+# Height in the middle of the upper body, and usual distance, m.
+_MIDDLE, _USUAL_DISTANCE = 1.35, 8.0
 # Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks sways with
 # 1 to 2 m/s² at 2 Hz.
-_KNOTS, _ACCELERATION = 0.2, 3.0
+_KNOTS, _ACCELERATION = 0.2, 15.0
 # Time for which errors of shape are taken as constant, s: two steps.
 _VIEW = 1.0
 # Degrees of freedom of Student's t: arms, bags, and points of something else.
@@ -112,12 +117,13 @@ def reduce_person(
     prior, mean = _arrange_prior(knots.count, shared)
     measured = place_samples(samples, states)
     outward = point_outward(samples, states, measured[:, :2])
+    distance = measure_lengths(samples.center)
     gather = _gather_views(samples.track, times)
     heading = np.zeros_like(outward)
     for _ in range(_PASSES):
-        rows = _arrange_rows(samples, measured[:, :2], outward, (first, weights, knots.count), heading, gather)
+        rows = _arrange_rows(samples, measured, distance, outward, (first, weights, knots.count), heading, gather)
         fit = _fit(rows, noise, prior, mean)
-        path, velocity = (evaluate_spline(fit.own[:-2].reshape(-1, 2), first, some) for some in (weights, slopes))
+        path, velocity = (evaluate_spline(fit.own[:-SHAPE].reshape(-1, 2), first, some) for some in (weights, slopes))
         speed = np.hypot(*velocity.T)
         heading = velocity / np.maximum(speed, 1e-6)[:, None] * (speed > _WALKING)[:, None]
         # Where bodies are, not where they are measured: errors of places would be multiplied with themselves, and
@@ -130,7 +136,7 @@ def reduce_person(
     H, g, response = _eliminate(rows, fit, by_states, prior, mean)
     force = (fit.residual - fit.error[rows.view]) * fit.information
     scores = rows.gather @ by_states.multiply(force[:, None]).toarray()
-    scores = np.column_stack([scores, np.zeros((len(scores), 2))])
+    scores = np.column_stack([scores, np.zeros((len(scores), SHAPE))])
     scores += (rows.gather @ rows.by_own.multiply(force[:, None]).tocsr()) @ response
     sizes = np.asarray(rows.gather.sum(axis=1))
     white, of_views = _expect_squares(rows, fit)
@@ -141,7 +147,7 @@ def reduce_person(
         white, of_views,
         (fit.residual - fit.error[rows.view]).reshape(2, -1).T,
         fit.weight.reshape(2, -1).T,
-        evaluate_spline(fit.own[:-2].reshape(-1, 2), first, weights),
+        evaluate_spline(fit.own[:-SHAPE].reshape(-1, 2), first, weights),
     )  # fmt: skip
 
 
@@ -176,41 +182,58 @@ def _gather_views(track: Index, times: Array) -> csr_array:
 def _arrange_prior(controls: int, shared: Array) -> tuple[Array, Array]:
     """Information (C, C) on path and body, and (C,) what they are expected to be."""
     second = np.diff(np.eye(controls), 2, axis=0) / (_ACCELERATION * _KNOTS**2)
-    size = 2 * controls + 2
+    size = 2 * controls + SHAPE
     prior, mean = np.zeros((size, size)), np.zeros(size)
-    prior[0:-2:2, 0:-2:2] = prior[1:-2:2, 1:-2:2] = second.T @ second
-    prior[[-2, -1], [-2, -1]] = _PERSON_STDDEV**-2.0
-    mean[-2:] = shared
+    for axis in range(2):
+        path = np.arange(axis, 2 * controls, 2)
+        prior[np.ix_(path, path)] = second.T @ second
+    prior[-SHAPE:, -SHAPE:] = np.diag(_PERSON_STDDEV**-2.0)
+    mean[-SHAPE:] = shared
     return prior, mean
 
 
 def _arrange_rows(
     samples: BodySamples,
     places: Array,
+    distance: Array,
     outward: Array,
     basis: tuple[Index, Array, int],
     heading: Array,
     gather: csr_array,
 ) -> _Rows:
-    """Rows for places (N, 2), unit vectors of view (N, 2) and of walk (N, 2), 0 of who stands."""
+    """Rows for places (N, 3), unit vectors of view (N, 2) and of walk (N, 2), 0 of who stands."""
     N, (first, weights, controls) = len(places), basis
     direction = np.concatenate([outward, np.column_stack([-outward[:, 1], outward[:, 0]])])
-    along = np.einsum("ni,ni->n", outward, heading)
-    aspect = np.where(heading.any(axis=1), 2 * along**2 - 1, 0.0)
+    shape = _derive_by_shape(direction, heading, places[:, 2], distance)
     row, sample = np.arange(2 * N), np.tile(np.arange(N), 2)
     control = 2 * (first[sample, None] + np.arange(4))[:, :, None] + np.arange(2)
     by_control = -weights[sample][:, :, None] * direction[:, None, :]
-    values = np.concatenate([by_control.ravel(), np.ones(N), -aspect])
-    column = np.concatenate([control.ravel(), np.repeat([2 * controls, 2 * controls + 1], N)])
-    of_row = np.concatenate([np.repeat(row, 8), row[:N], row[:N]])
+    values = np.concatenate([by_control.ravel(), shape.ravel()])
+    column = np.concatenate([control.ravel(), np.tile(2 * controls + np.arange(SHAPE), 2 * N)])
+    of_row = np.concatenate([np.repeat(row, 8), np.repeat(row, SHAPE)])
     return _Rows(
-        np.einsum("ri,ri->r", direction, places[sample]),
+        np.einsum("ri,ri->r", direction, places[sample, :2]),
         direction,
         samples.stddev.T.ravel(),
-        csr_array((values, (of_row, column)), shape=(2 * N, 2 * controls + 2)),
+        csr_array((values, (of_row, column)), shape=(2 * N, 2 * controls + SHAPE)),
         gather,
         np.asarray(gather.tocsc().indices, dtype=np.intp),
     )
+
+
+def _derive_by_shape(direction: Array, heading: Array, heights: Array, distance: Array) -> Array:
+    """(2N, 5) derivatives by the shape of the body, for unit vectors (2N, 2) and heights over the floor (N,), m."""
+    N = len(heading)
+    along = np.einsum("ri,ri->r", direction, np.tile(heading, (2, 1)))
+    above = np.tile(heights - _MIDDLE, 2)
+    shape = np.zeros((2 * N, SHAPE))
+    shape[:N, 0] = 1.0
+    shape[:N, 1] = np.where(heading.any(axis=1), 1 - 2 * along[:N] ** 2, 0.0)
+    shape[:N, 2] = along[:N]
+    shape[:, 3] = -above * along
+    shape[:N, 4] = above[:N]
+    shape[:N, 5] = distance - _USUAL_DISTANCE
+    return shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,15 +298,15 @@ def _eliminate(
     rows: _Rows, fit: _Fit, by_states: csr_array, prior: Array, mean: Array
 ) -> tuple[Array, Array, Array]:
     """Normal equations of states and shared unknowns without path and body, and (C, P) how these follow."""
-    P, body = by_states.shape[1], prior[[-2, -1], [-2, -1]]
-    cross = np.zeros((len(prior), P + 2))
+    P, shape = by_states.shape[1], prior[-SHAPE:, -SHAPE:]
+    cross = np.zeros((len(prior), P + SHAPE))
     cross[:, :P] = _square(rows, fit.information, fit.gain, rows.by_own, by_states)
-    cross[[-2, -1], [P, P + 1]] = -body
-    H, g = np.zeros((P + 2, P + 2)), np.zeros(P + 2)
+    cross[-SHAPE:, P:] = -shape
+    H, g = np.zeros((P + SHAPE,) * 2), np.zeros(P + SHAPE)
     H[:P, :P] = _square(rows, fit.information, fit.gain, by_states, by_states)
-    H[[P, P + 1], [P, P + 1]] = body
+    H[P:, P:] = shape
     g[:P] = _square(rows, fit.information, fit.gain, by_states, fit.residual[:, None])[:, 0]
-    g[P:] = -body * (fit.own[-2:] - mean[-2:])
+    g[P:] = -shape @ (fit.own[-SHAPE:] - mean[-SHAPE:])
     response = -np.asarray(cho_solve(fit.factor, cross, check_finite=False))
     return H + cross.T @ response, g, response
 
