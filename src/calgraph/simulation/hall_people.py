@@ -125,8 +125,10 @@ def _move_joints(
 
     def wander(stddev: float, seconds: float) -> Array:
         """(K,) slow random motion."""
-        noise = gaussian_filter1d(rng.normal(size=count), seconds / SAMPLE_INTERVAL, mode="wrap")
-        return np.asarray(stddev * noise / max(float(noise.std()), 1e-9))
+        samples = seconds / SAMPLE_INTERVAL
+        noise = gaussian_filter1d(rng.normal(size=count), samples, mode="wrap")
+        # White noise of variance 1 has 1 / (2 √π samples) after the filter.
+        return np.asarray(stddev * np.sqrt(2 * np.sqrt(np.pi) * samples) * noise)
 
     # What people do beside walking: they shift their weight, and look around.
     yaw = walk.headings + wander(0.06, 1.5)
