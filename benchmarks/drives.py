@@ -29,7 +29,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -231,7 +231,10 @@ def describe_rig(kinds: Mapping[str, str], tolerance: tuple[float, ...]) -> Rig:
     return rig.model_copy(update={"tolerance": Tolerance(translation=metres, rotation=degrees)})
 
 
-def judge(outcome: Outcome, found: Calibration, truth: Truth) -> Outcome:
+Judged = TypeVar("Judged", bound=Outcome)
+
+
+def judge(outcome: Judged, found: Calibration, truth: Truth) -> Judged:
     """Compares one sensor with the ground truth."""
     name, remarks = outcome.sensor, " | ".join(found.evidence.remarks)
     sensor = next((one for one in found.sensors if one.name == name), None)

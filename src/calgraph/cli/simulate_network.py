@@ -1,15 +1,23 @@
-"""``calgraph simulate network``: scanners and walking people with ground truth; every field is an option."""
+"""``calgraph simulate network``: sensors and walking people with ground truth; every field is an option."""
 
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
+
+import typer
 
 from calgraph.cli.common_options import JobsOption
+from calgraph.cli.console import console
 from calgraph.cli.model_options import add_options, apply_options, list_options
+from calgraph.cli.progress import progress_bars
 from calgraph.cli.simulate import Out, ScenarioFile, Seed, simulate_to
+from calgraph.errors import InputError
+from calgraph.io.atomic import replace_folder_atomically
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.parallel.processes import available_cores
-from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
+from calgraph.simulation import HallScenario, LayoutName, NetworkScenario, simulate_network
+from calgraph.simulation.hall_recording import record_hall
+from calgraph.simulation.hall_scenario import LidarModel
 
 _PANELS = {
     "layout": "Building",
@@ -19,15 +27,43 @@ _PANELS = {
     "root": "Recording",
 }
 _MODEL_OPTIONS = {option.parameter: option for option in list_options(NetworkScenario, _PANELS)}
+_HALL_OPTIONS = {"people_count": "people", "duration": "duration"}
+"""Options of a network that a hall has, and its fields."""
+Lidars = Annotated[
+    int,
+    typer.Option(
+        "--lidars",
+        metavar="N",
+        min=0,
+        max=100,
+        help="3-D LiDARs in a hall, instead of 2-D scanners in a building; of the other options only "
+        "--lidar-model, --seed, --people-count and --duration are of halls.",
+    ),
+]
+Model = Annotated[
+    LidarModel, typer.Option("--lidar-model", help="16 or 32 rings, or a raster of 70 by 40 degrees.")
+]
 
 
 def simulate_network_options(
-    out: Out, scenario: ScenarioFile = None, seed: Seed = 0, jobs: JobsOption = None, **options: Any
+    out: Out,
+    scenario: ScenarioFile = None,
+    seed: Seed = 0,
+    jobs: JobsOption = None,
+    lidars: Lidars = 0,
+    lidar_model: Model = "xt32",
+    **options: Any,
 ) -> None:
     """Simulate scanners in a building, and people who walk through; write recording and ground truth.
 
-    Defaults are those of the office; another layout has other defaults, which options override.
+    Defaults are those of the office; another layout has other defaults, which options override. With --lidars
+    3-D LiDARs hang in a hall.
     """
+    if lidars:
+        _simulate_hall(
+            out, seed, (lidar_model,) * lidars, [*options, *(["scenario"] if scenario else [])], options
+        )
+        return
     content = read_yaml(scenario) if scenario else {}
     if options.get("layout") in get_args(LayoutName):
         # Before the other options, so that options not given have the defaults of this layout.
@@ -35,6 +71,26 @@ def simulate_network_options(
     start = validate_content(NetworkScenario, content, scenario or Path("options"))
     chosen = apply_options(start, _MODEL_OPTIONS, options)
     simulate_to(out, partial(simulate_network, jobs=jobs or available_cores()), chosen, seed)
+
+
+def _simulate_hall(
+    out: Path, seed: int, lidars: tuple[LidarModel, ...], given: list[str], options: dict[str, Any]
+) -> None:
+    unknown = [name for name in given if name not in _HALL_OPTIONS]
+    if unknown:
+        raise InputError(f"--{unknown[0].replace('_', '-')}: is of 2-D scanners; leave it out with --lidars")
+    if (out / "recording").exists():
+        raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
+    chosen = {
+        _HALL_OPTIONS[name]: type(getattr(HallScenario(), _HALL_OPTIONS[name]))(options[name]) for name in given
+    }
+    hall = HallScenario(seed, lidars=lidars, **chosen)
+    with replace_folder_atomically(out, "recording") as folder, progress_bars() as progress:
+        record_hall(hall, folder, lambda done, total: progress("writing", done / total))
+    console(stderr=True).print(
+        f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",
+        markup=False,
+    )
 
 
 simulate_network_command = add_options(simulate_network_options, _MODEL_OPTIONS, NetworkScenario())

@@ -34,11 +34,11 @@ from calgraph.simulation.truth import BoardTruth, GroundTruth, PersonTruth, load
 from calgraph.simulation.world import World, build_world, ground_truth
 
 __all__ = [
-    "BeamOptions", "BoardTruth", "CameraOptions", "DriveFaults", "DriveScenario", "DriveSensor", "DriveTruth",
-    "GroundTruth", "HallFaults", "HallScenario", "HallTruth", "LaserOptions", "LayoutName", "MultibeamOptions",
-    "NetworkErrors", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress", "RangeErrors", "RigScenario",
-    "STANDARD_RIGS", "ScannerOptions", "SimulatedDrive", "SimulatedHall", "SimulatedNetwork", "SpinningOptions",
-    "StationaryScanner", "World", "build_network", "build_world", "ground_truth", "load_truth", "network_rig",
-    "network_truth", "save_truth", "simulate_drive", "simulate_hall", "simulate_network",
-    "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
+    "STANDARD_RIGS", "BeamOptions", "BoardTruth", "CameraOptions", "DriveFaults", "DriveScenario", "DriveSensor",
+    "DriveTruth", "GroundTruth", "HallFaults", "HallScenario", "HallTruth", "LaserOptions", "LayoutName",
+    "MultibeamOptions", "NetworkErrors", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress",
+    "RangeErrors", "RigScenario", "ScannerOptions", "SimulatedDrive", "SimulatedHall", "SimulatedNetwork",
+    "SpinningOptions", "StationaryScanner", "World", "build_network", "build_world", "ground_truth",
+    "load_truth", "network_rig", "network_truth", "save_truth", "simulate_drive", "simulate_hall",
+    "simulate_network", "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
 ]  # fmt: skip

@@ -20,8 +20,8 @@ _ANKLE, _KNEE, _HIP, _WAIST, _SHOULDER, _CHIN = 0.039, 0.285, 0.52, 0.62, 0.81, 
 """Heights over the stature."""
 _UPPER_ARM, _FOREARM, _FOOT = 0.186, 0.22, 0.152
 """Lengths over the stature; forearms with hands that are half closed."""
-_ANKLE_SECTION, _KNEE_SECTION, _HIP_SECTION = 1, 5, 7
-"""Of the sections of a leg."""
+_HALF_SHOULDERS, _HALF_HIPS = 0.115, 0.05
+"""Distances of joints from the middle over the stature."""
 _REACH = 0.85
 """Of feet, arms and bags from the middle of a body, m."""
 _LIFT = 0.1
@@ -125,17 +125,16 @@ def _move_joints(
 
     def wander(stddev: float, seconds: float) -> Array:
         """(K,) slow random motion."""
-        noise = gaussian_filter1d(rng.normal(size=count), seconds / SAMPLE_INTERVAL, mode="wrap")
-        return np.asarray(stddev * noise / max(float(noise.std()), 1e-9))
+        samples = seconds / SAMPLE_INTERVAL
+        noise = gaussian_filter1d(rng.normal(size=count), samples, mode="wrap")
+        # White noise of variance 1 has 1 / (2 √π samples) after the filter.
+        return np.asarray(stddev * np.sqrt(2 * np.sqrt(np.pi) * samples) * noise)
 
     # What people do beside walking: they shift their weight, and look around.
     yaw = walk.headings + wander(0.06, 1.5)
     ahead, left = _axes(yaw)
     floor = gaussian_filter1d(ground(walk.positions), 0.1 / SAMPLE_INTERVAL, mode="nearest")
-    ankles, knees, hips = (
-        [leg.positions + leg.section.offsets[k] for leg in legs if leg.section is not None]
-        for k in (_ANKLE_SECTION, _KNEE_SECTION, _HIP_SECTION)
-    )
+    ankles = [leg.positions for leg in legs]
     speeds = [np.linalg.norm(np.gradient(one, SAMPLE_INTERVAL, axis=0), axis=1) for one in ankles]
     lifts = [_LIFT * np.minimum(one / _FULL_SPEED, 1) for one in speeds]
     apart = np.sum((ankles[0] - ankles[1]) * ahead.T[:, :2], axis=1)
@@ -155,17 +154,26 @@ def _move_joints(
     joints = [np.concatenate([walk.positions.T, [floor]]), pelvis, over(_WAIST), over(_SHOULDER), skull]
     chest_ahead, chest_left = _axes(turns[1])
     for k, side in enumerate((1.0, -1.0)):
-        shoulder = over(_SHOULDER) + side * 0.115 * H * chest_left
+        shoulder = over(_SHOULDER) + side * _HALF_SHOULDERS * H * chest_left
         angle = -side * body.swing[k] * stride
         elbow = shoulder + _UPPER_ARM * H * _direction(angle, chest_ahead, side * 0.12 * chest_left)
         hand = elbow + _FOREARM * H * _direction(
             angle + body.bend[k] + 0.3 * np.maximum(angle, 0), chest_ahead, -side * 0.05 * chest_left
         )
-        rises = [np.concatenate([one[k].T, [floor + height]]) for one, height in (
-            (knees, _KNEE * H + 0.5 * lifts[k] - 0.3 * bob), (ankles, _ANKLE * H + lifts[k]))]  # fmt: skip
-        hip = np.concatenate([hips[k].T, [pelvis[2]]]) + aside * left
-        joints += [shoulder, elbow, hand, hip, *rises]
+        hip = pelvis + side * _HALF_HIPS * H * _axes(turns[0])[1]
+        ankle = np.concatenate([ankles[k].T, [floor + _ANKLE * H + lifts[k]]])
+        joints += [shoulder, elbow, hand, hip, _bend_knee(hip, ankle, H, ahead), ankle]
     return np.stack(joints), turns
+
+
+def _bend_knee(hip: Array, ankle: Array, stature: float, ahead: Array) -> Array:
+    """(3, K) the knee, before the line from hip to ankle by as much as the lengths of thigh and shank require."""
+    thigh, shank = (_HIP - _KNEE) * stature, (_KNEE - _ANKLE) * stature
+    length = np.linalg.norm(ankle - hip, axis=0)
+    axis = (ankle - hip) / length
+    along = np.clip((thigh**2 - shank**2 + length**2) / (2 * length), 0, thigh)
+    across = ahead - np.sum(ahead * axis, axis=0) * axis
+    return np.asarray(hip + along * axis + np.sqrt(thigh**2 - along**2) * across / np.linalg.norm(across, axis=0))
 
 
 def _direction(angle: Array, ahead: Array, aside: Array) -> Array:

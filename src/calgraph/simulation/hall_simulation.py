@@ -36,6 +36,8 @@ from 0.9 to 1.8 m, in the field of each."""
 _DRAWS = 500
 _SWAY_PERIODS, _SWAY_STEPS = (1.0, 4.0), 12
 """Of a LiDAR that swings, s, and poses on each side that stand for all."""
+_LATENCIES = 0.002, 0.02
+"""From the end of a measurement to its arrival at the recorder, s."""
 _TURN_TIME = 0.97
 """Share of its period in which a solid-state LiDAR measures."""
 
@@ -102,16 +104,18 @@ class SimulatedHall:
 
     @cached_property
     def recording(self) -> IndexedRecording:
-        """All messages, which are made of the ranges when they are read."""
+        """All messages, which are made of the ranges when they are read; they arrive by the root's clock."""
+        rng = np.random.default_rng((self.scenario.seed, 50))
         records, types = [], {}
         for mount in self.truth.mounts:
             name, topic = mount.sensor.name, topic_of(mount.sensor)
             types[topic] = "scan" if mount.sensor.kind == "scanner" else "cloud"
-            lasting = float(mount.columns.times[-1])
+            delay = float(mount.columns.times[-1]) - self.truth.clock_offsets[name]
             beams = None if mount.sensor.kind == "scanner" else mount.columns.directions.reshape(-1, 3)
             for stamp, ranges in zip(self.stamps[name].tolist(), self.ranges[name], strict=True):
                 decode = partial(_read_message, stamp, name, mount.columns, beams, ranges)
-                records.append(RecordedMessage(topic, stamp, stamp + lasting, decode))
+                arrival = stamp + delay + rng.uniform(*_LATENCIES)
+                records.append(RecordedMessage(topic, stamp, arrival, decode))
         return IndexedRecording(Path("messages"), records, types)
 
 
