@@ -11,14 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import cho_solve
 
-from calgraph.drive.adjustment import (
-    Adjustment,
-    AdjustmentPriors,
-    _add_motion_prior,
-    _deviation,
-    _reduce_part,
-    adjust_drive,
-)
+from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, _add_motion_prior, _reduce_part, adjust_drive
 from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import (
@@ -438,10 +431,10 @@ def test_the_prior_draws_a_common_range_scale_back() -> None:
 
 def test_deviations_are_those_from_the_prior() -> None:
     """Its poses and clocks are those of the start; range errors are zero."""
-    start = [SensorState(MOUNTED[2], 0.1, 0.2, 0.3)]
+    start = SensorState(MOUNTED[2], 0.1, 0.2, 0.3)
     step = np.arange(1, 10) / 100
-    expected = [[0.01, 0.02, 0.03, 0.04, 0.25, 0.36, 0.07, 0.08, 0.09]]
-    assert_allclose(_deviation([start[0].moved(step)], start), expected)
+    expected = [0.01, 0.02, 0.03, 0.04, 0.25, 0.36, 0.07, 0.08, 0.09]
+    assert_allclose(start.moved(step).deviation_from(start), expected)
 
 
 def test_a_prior_holds_the_pose() -> None:
