@@ -12,19 +12,20 @@ from numpy.testing import assert_allclose
 from scipy.linalg import cho_solve
 
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, _add_motion_prior, _reduce_part, adjust_drive
-from calgraph.drive.map_agreement import measure_agreement
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import (
     _evaluate,
     _Evaluated,
     associate_points,
     linearize_points,
+    locate_points,
     select_inside,
 )
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import cell_keys
+from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.surface_elimination import (
     NoiseModel,
     _Fit,
@@ -402,7 +403,9 @@ def test_maps_of_a_wrong_pose_do_not_agree(n: int) -> None:
     right = scene.truth[1].T_root_sensor
     wrong = se_n.pose(se_n.rotation(right), se_n.translation(right) + np.array([0.5, 0.4, 0.0])[:n])
     truth, moved = (
-        measure_agreement([scene.part], [scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])[0, 1]
+        measure_agreement([locate_points(scene.part, [scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])])[
+            0, 1
+        ]
         for T in (right, wrong)
     )
     assert truth > 8

@@ -1,4 +1,4 @@
-"""Whether the maps of two sensors agree: what odometry that failed cannot imitate.
+"""Whether the maps of two sensors agree: what a wrong pose cannot imitate.
 
 The joint solution takes points near a surface as points of it, and leaves out the others, so that residuals of a
 wrong pose are small. Here surfaces are those of one sensor alone, and all points of another within their outlines
@@ -9,10 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calgraph.drive.measurements import DrivePart
-from calgraph.drive.points_on_surfaces import locate_points
-from calgraph.drive.states import SensorState
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.surfaces.flat_cells import FlatCells
 from calgraph.surfaces.surface_points import THICKNESS_PER_GATE, fit_surfaces
 
@@ -24,21 +21,23 @@ _OUTLINE = 2.0
 _MIN_POINTS = 5
 
 
-def measure_agreement(parts: Sequence[DrivePart], states: Sequence[SensorState]) -> Array:
+def measure_agreement(worlds: Sequence[Sequence[tuple[Array, Index]]]) -> Array:
     """(S, S) by how many surfaces the maps of two sensors agree, along the direction of walls with the fewest.
 
     Surfaces on which they agree count as 1, others as -1, by the squares of their normals along a direction; the
     worst direction counts, and the worst but one in space, which has a floor.
+
+    Args:
+        worlds: by sensor, points (N, n) in each world, m, and the views (N,) in which they were measured.
     """
-    S, n = len(states), len(states[0].T_root_sensor) - 1
+    S, n = len(worlds[0]), worlds[0][0][0].shape[1]
     scatter = np.zeros((S, S, n, n))
-    for part in parts:
-        located = [locate_points(part, k, state) for k, state in enumerate(states)]
-        for i, (points, views) in enumerate(located):
+    for world in worlds:
+        for i, (points, views) in enumerate(world):
             surfaces = fit_surfaces(points, views, THICKNESS_PER_GATE * _NEAR)
             for j in range(S):
                 if j != i:
-                    scatter[i, j] += _compare(surfaces, located[j][0])
+                    scatter[i, j] += _compare(surfaces, world[j][0])
     return np.asarray(np.linalg.eigvalsh(scatter + np.swapaxes(scatter, 0, 1))[..., n - 2] / 2)
 
 
