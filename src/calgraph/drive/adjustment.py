@@ -147,7 +147,9 @@ def adjust_drive(
     widened = widen_covariance(covariance, [one.cluster_scores(count) for one in reduced])
     return Adjustment(
         states, parts, widened[:count, :count], covariance[:count, :count], free, noise,
-        agreement=measure_agreement([locate_points(part, states) for part in parts]),
+        agreement=measure_agreement([
+            [locate_points(part, k, state) for k, state in enumerate(states)] for part in parts
+        ]),
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),

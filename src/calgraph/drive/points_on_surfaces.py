@@ -50,10 +50,10 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     return Association(surfaces, cells)
 
 
-def locate_points(part: DrivePart, states: Sequence[SensorState]) -> list[tuple[Array, Index]]:
-    """By sensor, its points (N, n) in the world, m, and the views (N,) in which they were measured."""
-    each = [_evaluate(part, k, state, select_inside(part, k, state)) for k, state in enumerate(states)]
-    return [(at.world, _number_views(part, at.time)) for at in each]
+def locate_points(part: DrivePart, k: int, state: SensorState) -> tuple[Array, Index]:
+    """The points (N, n) of sensor k in the world, m, and the views (N,) in which they were measured."""
+    at = _evaluate(part, k, state, select_inside(part, k, state))
+    return at.world, _number_views(part, at.time)
 
 
 def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:

@@ -1,4 +1,4 @@
-"""Whether the maps of two sensors agree: what a wrong pose cannot imitate.
+"""Whether the maps of two sensors agree: what odometry that failed cannot imitate.
 
 The joint solution takes points near a surface as points of it, and leaves out the others, so that residuals of a
 wrong pose are small. Here surfaces are those of one sensor alone, and all points of another within their outlines
@@ -28,7 +28,7 @@ def measure_agreement(worlds: Sequence[Sequence[tuple[Array, Index]]]) -> Array:
     worst direction counts, and the worst but one in space, which has a floor.
 
     Args:
-        worlds: by sensor, points (N, n) in each world, m, and the views (N,) in which they were measured.
+        worlds: of each world, the points (N, n) that each sensor measured there, m, and the views (N,) of these.
     """
     S, n = len(worlds[0]), worlds[0][0][0].shape[1]
     scatter = np.zeros((S, S, n, n))
