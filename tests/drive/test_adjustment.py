@@ -11,26 +11,21 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import cho_solve
 
-from calgraph.drive.adjustment import (
-    Adjustment,
-    AdjustmentPriors,
-    _add_motion_prior,
-    _deviation,
-    _reduce_part,
-    adjust_drive,
-)
+from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, _add_motion_prior, _reduce_part, adjust_drive
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import (
     _evaluate,
     _Evaluated,
     associate_points,
     linearize_points,
+    locate_points,
     select_inside,
 )
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import cell_keys
+from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.surface_elimination import (
     NoiseModel,
     _Fit,
@@ -408,14 +403,9 @@ def test_maps_of_a_wrong_pose_do_not_agree(n: int) -> None:
     right = scene.truth[1].T_root_sensor
     wrong = se_n.pose(se_n.rotation(right), se_n.translation(right) + np.array([0.5, 0.4, 0.0])[:n])
     truth, moved = (
-        measure_agreement(
-            [
-                [
-                    locate_points(scene.part, k, state)
-                    for k, state in enumerate([scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])
-                ]
-            ]
-        )[0, 1]
+        measure_agreement([locate_points(scene.part, [scene.truth[0], replace(scene.truth[1], T_root_sensor=T)])])[
+            0, 1
+        ]
         for T in (right, wrong)
     )
     assert truth > 8
@@ -444,10 +434,10 @@ def test_the_prior_draws_a_common_range_scale_back() -> None:
 
 def test_deviations_are_those_from_the_prior() -> None:
     """Its poses and clocks are those of the start; range errors are zero."""
-    start = [SensorState(MOUNTED[2], 0.1, 0.2, 0.3)]
+    start = SensorState(MOUNTED[2], 0.1, 0.2, 0.3)
     step = np.arange(1, 10) / 100
-    expected = [[0.01, 0.02, 0.03, 0.04, 0.25, 0.36, 0.07, 0.08, 0.09]]
-    assert_allclose(_deviation([start[0].moved(step)], start), expected)
+    expected = [0.01, 0.02, 0.03, 0.04, 0.25, 0.36, 0.07, 0.08, 0.09]
+    assert_allclose(start.moved(step).deviation_from(start), expected)
 
 
 def test_a_prior_holds_the_pose() -> None:

@@ -1,17 +1,16 @@
 """Changes of poses and clocks during a drive: found, named and measured, and not found where there are none."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from calgraph.drive.adjustment import AdjustmentPriors, adjust_drive
-from calgraph.drive.changes import Change, PeriodEquations, describe_changes, find_changes
+from calgraph.drive.changes import Change, describe_changes, find_changes
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, se2, se_n
+from calgraph.solver.change_tests import PeriodEquations
 from calgraph.surfaces.trajectory import Track, fit_spline
 from drive_scenes import beams_in_plane, drive, scan
 
@@ -21,35 +20,30 @@ T_ROOT_SENSOR = [
     se2.pose(2.0, np.array([-0.5, 0.2])),
     se2.pose(-1.0, np.array([0.4, 0])),
 ]
+STATES_OF = [SensorState(T) for T in T_ROOT_SENSOR]
 ENDS: Array = 3.0 * np.arange(1.0, PERIODS + 1)
 
 
-def equations_of(change: Array, rng: np.random.Generator) -> PeriodEquations:
+def find(change: Array, seed: int = 0, ends: Array = ENDS) -> list[Change]:
     """Of states that are measured once a period, with a change (S, K, F) in their standard deviations of 1 mm."""
-    free: NDArray[np.bool_] = np.ones((SENSORS, STATES), dtype=bool)
-    free[0] = False
-    shape = (SENSORS, PERIODS, STATES)
-    measured = change + rng.normal(size=shape)
+    measured = change + np.random.default_rng(seed).normal(size=change.shape)
     measured -= measured.mean(axis=1, keepdims=True)
-    used = np.broadcast_to(free[:, None], shape)
-    information = np.asarray(np.where(used, 1e6, 0.0), dtype=np.float64).ravel()
-    gradient = np.asarray(np.where(used, -1e3 * measured, 0.0), dtype=np.float64).ravel()
-    return PeriodEquations(
-        np.diag(information), gradient, free, ENDS, np.ones(SENSORS * STATES), np.zeros(SENSORS * STATES)
+    S, K, F = change.shape
+    free: NDArray[np.bool_] = np.ones((S, F), dtype=bool)
+    free[0] = False
+    count = int(free.sum())
+    _, period, _ = np.nonzero(np.repeat(free[:, None], K, axis=1))
+    same = np.kron(np.eye(S - 1), np.kron(np.ones((K, 1)), np.eye(F)))
+    equations = PeriodEquations(
+        1e6 * np.eye(len(period)), -1e3 * measured[1:].ravel(), period, same, np.ones(count), np.zeros(count)
     )
+    return find_changes(equations, free, ends, STATES_OF[:S])
 
 
 def changed(sensor: int, column: int, function: Array) -> Array:
     change = np.zeros((SENSORS, PERIODS, STATES))
     change[sensor, :, column] = function
     return change
-
-
-STATES_OF = [SensorState(T) for T in T_ROOT_SENSOR]
-
-
-def find(change: Array, seed: int = 0) -> list[Change]:
-    return find_changes(equations_of(change, np.random.default_rng(seed)), STATES_OF)
 
 
 def test_noise_alone_is_no_change() -> None:
@@ -86,29 +80,12 @@ def test_a_root_that_moves_is_named_instead_of_all_others() -> None:
 
 
 def test_of_two_sensors_both_are_named() -> None:
-    equations = equations_of(changed(1, 0, np.where(ENDS > 12, 20.0, 0.0)), np.random.default_rng(0))
-    size = 2 * PERIODS * STATES
-    pair = replace(
-        equations,
-        information=equations.information[:size, :size],
-        gradient=equations.gradient[:size],
-        free=equations.free[:2],
-        prior_information=np.ones(2 * STATES),
-        prior_gradient=np.zeros(2 * STATES),
-    )
-    (found,) = find_changes(pair, STATES_OF[:2])
+    (found,) = find(changed(1, 0, np.where(ENDS > 12, 20.0, 0.0))[:2])
     assert found.sensors == (0, 1)
 
 
 def test_a_short_drive_is_not_tested() -> None:
-    equations = equations_of(np.zeros((SENSORS, PERIODS, STATES)), np.random.default_rng(0))
-    size = SENSORS * 3 * STATES
-    assert (
-        find_changes(
-            replace(equations, ends=ENDS[:3], information=np.eye(size), gradient=np.zeros(size)), STATES_OF
-        )
-        == []
-    )
+    assert find(changed(2, 0, np.where(ENDS > 3, 20.0, 0.0))[:, :3], ends=ENDS[:3]) == []
 
 
 def simulate(seed: int, bump: Array, clock: float) -> tuple[DrivePart, list[SensorState]]:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from calgraph.drive.sweeps import Sweep, read_sweep, smooth_stamps, smooth_times, thin_sweep
+from calgraph.drive.sweeps import Sweep, read_sweep, smooth_times, thin_sweep
 from calgraph.sensors import LaserScan, PointCloud
 
 
@@ -52,30 +52,6 @@ def test_scans_without_times_have_the_numbers_of_their_beams() -> None:
     assert_allclose(sweep.timing, [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.75, 1.0, 0.0], [1.0, 0.0, 0.0]])
     stated = read_sweep(LaserScan(5.0, "laser", np.zeros(5), ranges, time_increment=0.01), 2)
     assert_allclose(stated.timing, 0)
-
-
-def test_rounded_stamps_are_smoothed_where_scans_were_lost() -> None:
-    number = np.delete(np.arange(300.0), [40, 41, 90, 200])
-    true = 1_700_000_000.0 + 0.2133 * number
-    late = true.copy()
-    late[[20, 150]] += 0.05
-    stamps = np.floor(late * 100) / 100
-    period, smooth = smooth_stamps(stamps)
-    assert abs(period - 0.2133) < 0.0005
-    error = smooth - true - np.median(smooth - true)
-    assert np.std(stamps - late) > 0.0025
-    assert np.std(error) < 0.0008
-    assert np.abs(error).max() < 0.004
-
-
-def test_jumps_of_a_clock_are_not_smoothed() -> None:
-    stamps = 0.1 * np.arange(200.0)
-    stamps[100:] += 0.04
-    assert_allclose(smooth_stamps(stamps)[1], stamps, atol=1e-6)
-
-
-def test_few_stamps_remain() -> None:
-    assert_allclose(smooth_stamps(np.array([0.0, 0.11, 0.2]))[1], [0, 0.11, 0.2])
 
 
 def test_sweeps_are_of_smoothed_stamps_and_their_timing_is_in_seconds() -> None:

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, hstack
 
-from calgraph.drive.changes import PERIOD, Change, PeriodEquations, find_changes
+from calgraph.drive.changes import PERIOD, Change, find_changes
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import Association, associate_points, linearize_points, locate_points
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n
+from calgraph.solver.change_tests import PeriodEquations
 from calgraph.solver.clustered_covariance import ClusteredScores, widen_covariance
 from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
@@ -109,14 +110,12 @@ def adjust_drive(
         priors: of these.
         progress: called with the fraction done.
     """
-    prior = priors.stddev
-    free = prior > 0
+    free = priors.stddev > 0
     start = states
     noise = NoiseModel(np.full(len(states), _START_WHITE), np.full(2, _START_VIEW))
     parts = list(parts)
     reduced: list[_Reduced] = []
     count, shared = int(free.sum()), np.zeros(len(priors.shared))
-    information = np.concatenate([prior[free], priors.shared]) ** -2.0
     step: Array = np.zeros(count + len(shared))
     H: Array = np.eye(len(step), dtype=np.float64)
     associations: list[Association] = []
@@ -128,9 +127,9 @@ def adjust_drive(
             _reduce_part(part, states, noise, association, free, shared)
             for part, association in zip(parts, associations, strict=True)
         ]
+        information, gradient = _add_priors(priors, states, start, shared)
         H = sum((one.information for one in reduced), np.diag(information))
-        deviation = np.concatenate([_deviation(states, start)[free], shared])
-        g = sum((one.gradient for one in reduced), deviation * information)
+        g = sum((one.gradient for one in reduced), gradient)
         _add_stated_poses(H, g, states, priors.poses, free)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
@@ -144,6 +143,7 @@ def adjust_drive(
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    equations, ends = _release_periods(parts, states, noise, associations, priors, start, shared)
     widened = widen_covariance(covariance, [one.cluster_scores(count) for one in reduced])
     return Adjustment(
         states, parts, widened[:count, :count], covariance[:count, :count], free, noise,
@@ -157,7 +157,7 @@ def adjust_drive(
         responses=[one.response()[:, :count] for one in reduced],
         shared=shared,
         shared_stddev=np.sqrt(np.diag(widened)[count:]),
-        changes=find_changes(_release_periods(parts, states, noise, associations, priors, start, shared), states),
+        changes=find_changes(equations, free, ends, states),
     )  # fmt: skip
 
 
@@ -174,18 +174,14 @@ def _add_stated_poses(
         g[columns[k, axes]] += information @ error[axes]
 
 
-def _deviation(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
-    """(S, n + d + 6) of the states from those of the prior."""
-    return np.array([
-        [
-            *se_n.difference(state.T_root_sensor, first.T_root_sensor),
-            state.clock_offset - first.clock_offset,
-            state.range_bias,
-            state.range_scale,
-            *state.timing,
-        ]
-        for state, first in zip(states, start, strict=True)
-    ])  # fmt: skip
+def _add_priors(
+    priors: AdjustmentPriors, states: Sequence[SensorState], start: Sequence[SensorState], shared: Array
+) -> tuple[Array, Array]:
+    """Information (P + G,) of priors but stated poses, and the gradient by the deviations from the start."""
+    deviation = np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
+    free = priors.stddev > 0
+    information = np.concatenate([priors.stddev[free], priors.shared]) ** -2.0
+    return information, information * np.concatenate([deviation[free], shared])
 
 
 def _count_periods(part: DrivePart) -> int:
@@ -205,29 +201,27 @@ def _release_periods(
     priors: AdjustmentPriors,
     start: Sequence[SensorState],
     shared: Array,
-) -> PeriodEquations:
-    """The equations with a state of each sensor in each period of all parts."""
-    prior = priors.stddev
-    free = prior > 0
+) -> tuple[PeriodEquations, Array]:
+    """The equations with a state of each sensor in each period of all parts, and the ends (K,) of these, s."""
+    free = priors.stddev > 0
     counts = [_count_periods(part) for part in parts]
-    (S, F), K = free.shape, sum(counts)
-    states_count = S * K * F
-    H, g = np.zeros((states_count + len(shared),) * 2), np.zeros(states_count + len(shared))
+    sensor, period, column = np.nonzero(np.repeat(free[:, None], sum(counts), axis=1))
+    own, P, G = len(period), int(free.sum()), len(shared)
+    H, g = np.zeros((own + G,) * 2), np.zeros(own + G)
     first = 0
     for part, association, count in zip(parts, associations, counts, strict=True):
         reduced = _reduce_part(part, states, noise, association, free, shared, count)
-        sensor, period, column = np.nonzero(np.repeat(free[:, None], count, axis=1))
-        own = (sensor * K + first + period) * F + column
-        rows = np.concatenate([own, np.arange(states_count, len(g))])
+        rows = np.append(np.flatnonzero((period >= first) & (period < first + count)), np.arange(own, own + G))
         H[np.ix_(rows, rows)] += reduced.information
         g[rows] += reduced.gradient
         first += count
+    same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], np.arange(P, P + G))
+    prior = _add_priors(priors, states, start, shared)
+    equations = PeriodEquations(H, g, np.append(period, np.full(G, -1)), np.eye(P + G)[same], *prior)
     ends = [
         part.trajectory.start + PERIOD * np.arange(1, count + 1) for part, count in zip(parts, counts, strict=True)
     ]
-    information = np.concatenate([np.where(free, prior, 1.0).ravel(), priors.shared]) ** -2.0
-    deviation = np.concatenate([np.where(free, _deviation(states, start), 0.0).ravel(), shared])
-    return PeriodEquations(H, g, free, np.concatenate(ends), information, deviation * information)
+    return equations, np.concatenate(ends)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,13 +314,14 @@ def _reduce_part(
     noise = replace(noise, white=np.repeat(noise.white, periods))
     control = part.trajectory.control
     on_surfaces = eliminate_surfaces(at, len(association.surfaces.keys), noise, free, len(control))
-    unknowns = sum(one.unknown_count for one in part.measurements)
-    H, g = on_surfaces.information, on_surfaces.gradient
-    H, g = _insert_unknowns(H, g, len(g), len(shared))
-    H, g = _insert_unknowns(H, g, control.size, unknowns)
-    _add_motion_prior(H, g, part.trajectory, None if part.size is None else len(g) - len(shared) + part.size)
+    # Control points, unknowns of measurements, parameters of sensors, and what parts share.
+    C = control.size + sum(one.unknown_count for one in part.measurements)
+    first_shared = C + int(free.sum())
+    H, g = np.zeros((first_shared + len(shared),) * 2), np.zeros(first_shared + len(shared))
+    known = np.r_[0 : control.size, C:first_shared]
+    H[np.ix_(known, known)], g[known] = on_surfaces.information, on_surfaces.gradient
+    _add_motion_prior(H, g, part.trajectory, None if part.size is None else first_shared + part.size)
     _add_measurements(H, g, part, states, free, shared, periods)
-    C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
     factor = cho_factor(H_c, lower=True, check_finite=False)
     eliminated = cho_solve(factor, np.column_stack([H_cp, g[:C]]), check_finite=False)
@@ -336,16 +331,6 @@ def _reduce_part(
         factor, H_cp, g[:C], on_surfaces, at.time, association.surfaces.center[at.surface],
         control.size,
     )  # fmt: skip
-
-
-def _insert_unknowns(H: Array, g: Array, at: int, count: int) -> tuple[Array, Array]:
-    """The normal equations with rows and columns of 0 for unknowns that start at a place."""
-    if not count:
-        return H, g
-    place = np.r_[0:at, at + count : len(g) + count]
-    larger, gradient = np.zeros((len(g) + count,) * 2), np.zeros(len(g) + count)
-    larger[np.ix_(place, place)], gradient[place] = H, g
-    return larger, gradient
 
 
 def _add_measurements(
@@ -358,26 +343,21 @@ def _add_measurements(
     periods: int,
 ) -> None:
     """Adds measurements of the trajectory, whose unknowns follow the control points."""
-    size, parameters = part.trajectory.control.size, int(free.sum())
-    first = size
+    first = size = part.trajectory.control.size
     for one in part.measurements:
         rows = one.linearize(part.trajectory, states, shared)
         by_sensor = np.zeros((len(rows.residual), *free.shape))
         column = rows.sensor * periods + _number_periods(part, rows.time, periods)
         by_sensor[np.arange(len(column)), column] = rows.by_sensor
-        after = len(g) - parameters - len(shared) - first - one.unknown_count
-        J = hstack([
-            rows.by_control,
-            csr_array((len(rows.residual), first - size)),
-            rows.by_unknown,
-            csr_array((len(rows.residual), after)),
-            csr_array(by_sensor[:, free]),
-            csr_array(rows.by_shared),
-        ]).tocsr()  # fmt: skip
+        J = hstack(
+            [rows.by_control, rows.by_unknown, csr_array(by_sensor[:, free]), csr_array(rows.by_shared)]
+        ).tocsr()
+        after = first + one.unknown_count
+        columns = np.r_[0:size, first:after, len(g) - (J.shape[1] - size - one.unknown_count) : len(g)]
         square = (J.T @ J).tocoo()
-        H[square.row, square.col] += square.data
-        g += J.T @ rows.residual
-        first += one.unknown_count
+        H[columns[square.row], columns[square.col]] += square.data
+        g[columns] += J.T @ rows.residual
+        first = after
 
 
 def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: int | None = None) -> None:
@@ -390,20 +370,17 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: in
     K, columns = control.shape
     n = trajectory.reference.poses.shape[-1] - 1
     stddev = np.repeat([_ACCELERATION, _TURN_ACCELERATION], [n, columns - n]) * trajectory.spacing**2
-    second = np.diff(control, 2, axis=0) / stddev**2
-    index = np.arange(K - 2)
-    gradient = np.zeros_like(control)
-    for a, wa in enumerate((1.0, -2.0, 1.0)):
-        gradient[a : a + K - 2] += wa * second
-        for b, wb in enumerate((1.0, -2.0, 1.0)):
-            for c in range(columns):
-                H[(index + a) * columns + c, (index + b) * columns + c] += wa * wb / stddev[c] ** 2
-    g[: K * columns] += gradient.ravel()
+    second = np.diff(np.eye(K), 2, axis=0)
+    squares = second.T @ second
+    for c in range(columns):
+        H[c : control.size : columns, c : control.size : columns] += squares / stddev[c] ** 2
+    gradient = squares @ (control / stddev**2)
+    g[: control.size] += gradient.ravel()
     if size is not None:
         gradient[:, n:] = 0.0
-        change = float(np.sum(second[:, :n] * np.diff(control, 2, axis=0)[:, :n]))
-        H[: K * columns, size] -= gradient.ravel()
-        H[size, : K * columns] -= gradient.ravel()
+        change = float(np.sum(gradient * control))
+        H[: control.size, size] -= gradient.ravel()
+        H[size, : control.size] -= gradient.ravel()
         H[size, size] += change
         g[size] -= change
     middle = K // 2 * columns + np.arange(columns)

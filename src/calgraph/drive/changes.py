@@ -1,12 +1,7 @@
-"""Score tests of changes during a drive: a sensor that was bumped or comes loose, a clock that jumps or drifts.
+"""Changes during a drive: a sensor that was bumped or comes loose, a clock that jumps or drifts.
 
-Each sensor has a pose and a clock of its own in each period of a few seconds; the gradient by these at the joint
-solution, with trajectory, surfaces and all that is constant eliminated, predicts a step after each period, and a
-drift over all of them, and tests these. Errors of neighbouring points are correlated, so that the statistic is
-divided by the scatter of what periods contribute beside the change.
-
-Sources: Rao, "Large sample tests of statistical hypotheses concerning several parameters", 1948; Andrews, "Tests
-for parameter instability and structural change with unknown change point", 1993.
+Each sensor has a pose and a clock of its own in each period of a few seconds; score tests find a step after a
+period, or a drift over all of them.
 """
 
 from collections.abc import Sequence
@@ -15,13 +10,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtri
 
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.result.finding import Finding
-from calgraph.solver.clustered_covariance import SCATTER_FACTOR
+from calgraph.solver.change_tests import PeriodEquations, search_changes
 
 # Duration of a period, s: a whole number of views. Errors of points are correlated for about as long.
 PERIOD = 3.0
@@ -32,33 +25,10 @@ _MIN_PERIODS = 2
 # three of these by one clock in one minute. With a scanner that is moved by 50 mm and 1° in the middle of a
 # minute, all of 15 do, by 1.2 to 8 times.
 _FALSE_ALARM = 0.05
-# Prior information (1/m², 1/rad², 1/s²) on a change: directions that nothing measures are invertible.
-_CHANGE_INFORMATION = 1.0
 # Sensors whose changes have a likelihood smaller than the largest by less than this factor are all named.
 _INDISTINGUISHABLE_RATIO = 1e4
 # Changes that are found: with more, something changes all the time.
 _MAX_CHANGES = 4
-
-
-@dataclass(frozen=True, eq=False)
-class PeriodEquations:
-    """Normal equations of the states of S sensors (F numbers each) in K periods, then of G constants.
-
-    All else is eliminated. Rows of states that are not estimated are 0.
-    """
-
-    information: Array
-    """(S K F + G, S K F + G)."""
-    gradient: Array
-    """(S K F + G,)."""
-    free: NDArray[np.bool_]
-    """(S, F) which states are estimated."""
-    ends: Array
-    """(K,) of the periods by the root's clock, s."""
-    prior_information: Array
-    """(S F + G,) on states that do not change, 1 for those that are not estimated, and on the constants,"""
-    prior_gradient: Array
-    """(S F + G,) and the gradient by these."""
 
 
 @dataclass(frozen=True)
@@ -74,28 +44,23 @@ class Change:
     """Of the pose (n + d,) along the root's axes, m and rad, or of the clock (1,), s; of a drift, in all."""
 
 
-def find_changes(equations: PeriodEquations, states: Sequence[SensorState]) -> list[Change]:
+def find_changes(
+    equations: PeriodEquations, free: NDArray[np.bool_], ends: Array, states: Sequence[SensorState]
+) -> list[Change]:
     """The significant changes of poses and clocks, the root's included, each searched beside those before it.
 
     Args:
-        equations: at the solution.
+        equations: of what is estimated of the states in K periods, sensor by sensor, then period by period, and
+            of what is constant.
+        free: (S, F) which of the states are estimated.
+        ends: (K,) of the periods by the root's clock, s.
         states: of the solution; the first is the root.
     """
-    (S, F), K = equations.free.shape, len(equations.ends)
-    constants = len(equations.gradient) - S * K * F
-    same = np.kron(np.eye(S), np.kron(np.ones((K, 1)), np.eye(F)))
-    model = _Model(
-        np.block([[same, np.zeros((len(same), constants))], [np.zeros((constants, S * F)), np.eye(constants)]]),
-        equations.prior_information,
-        equations.prior_gradient,
-    )
-    candidates = _list_candidates(equations, states)
-    changes: list[Change] = []
-    while candidates and len(changes) < _MAX_CHANGES:
-        tests = _test_candidates(equations, model, candidates)
-        best = int(np.argmax([test.statistic / test.limit for test in tests]))
-        if tests[best].statistic <= tests[best].limit:
-            break
+    S = len(states)
+    candidates = _list_candidates(len(equations.gradient), free, ends, states)
+    directions = [one.direction for one in candidates]
+    changes = []
+    for best, tests in search_changes(equations, directions, _MAX_CHANGES, _FALSE_ALARM):
         chosen = candidates[best]
         near = tests[best].statistic - 2 * np.log(_INDISTINGUISHABLE_RATIO)
         alike = {
@@ -106,7 +71,6 @@ def find_changes(equations: PeriodEquations, states: Sequence[SensorState]) -> l
         # Of two sensors, one moves relative to the other.
         sensors = range(S) if S == 2 else sorted(alike)
         changes.append(Change(tuple(sensors), chosen.kind, chosen.time, tuple(tests[best].size.tolist())))
-        model = model.with_change(chosen.direction)
     return changes
 
 
@@ -119,112 +83,43 @@ class _Candidate:
     time: float | None
     """Of a step, s."""
     direction: Array
-    """(S K F + G, c) by which the states in all periods change with it."""
+    """(R, c) by which the states in all periods change with it."""
 
 
-def _list_candidates(equations: PeriodEquations, states: Sequence[SensorState]) -> list[_Candidate]:
+def _list_candidates(
+    rows: int, free: NDArray[np.bool_], ends: Array, states: Sequence[SensorState]
+) -> list[_Candidate]:
     """Steps after each period, and drifts. Those of the root are those of all others the other way round."""
-    (S, _), ends = equations.free.shape, equations.ends
+    S = len(states)
     inside = ends[_MIN_PERIODS - 1 : len(ends) - _MIN_PERIODS]
     functions: list[tuple[float | None, Array]] = [(float(time), (ends > time) * 1.0) for time in inside]
     if len(inside):
         functions.append((None, (ends - ends.mean()) / np.ptp(ends)))
     kinds: tuple[Literal["pose", "clock"], ...] = ("pose", "clock")
+    number, period, column = np.nonzero(np.repeat(free[:, None], len(ends), axis=1))
     found = []
     for sensor in range(0 if S > 2 else 1, S):
         for kind in kinds:
-            by_state = _change_states(equations.free, states, sensor, kind)
+            by_state = _change_states(states, sensor, kind)[number, column]
             for time, function in functions:
-                by_period = np.einsum("sfc,k->skfc", by_state, function)
-                direction = np.zeros((len(equations.gradient), by_state.shape[2]))
-                direction[: by_period[..., 0].size] = by_period.reshape(-1, by_state.shape[2])
+                direction = np.zeros((rows, by_state.shape[1]))
+                direction[: len(period)] = by_state * function[period, None]
                 found.append(_Candidate(sensor, kind, time, direction))
     return found
 
 
-def _change_states(
-    free: NDArray[np.bool_], states: Sequence[SensorState], sensor: int, kind: Literal["pose", "clock"]
-) -> Array:
-    """(S, F, c) change of all states with that of the pose (n + d,) or the clock (1,) of one sensor."""
-    S, F = free.shape
-    pose = np.arange(F - BESIDE_POSE)
-    columns = pose if kind == "pose" else np.array([F - BESIDE_POSE])
-    change = np.zeros((S, F, len(columns)))
-    for k in [sensor] if sensor else range(1, S):
+def _change_states(states: Sequence[SensorState], sensor: int, kind: Literal["pose", "clock"]) -> Array:
+    """(S, n + d + 6, c) change of all states with that of the pose (n + d,) or the clock (1,) of one sensor."""
+    n = len(states[0].T_root_sensor) - 1
+    size = n * (n + 1) // 2
+    columns = np.arange(size) if kind == "pose" else np.array([size])
+    change = np.zeros((len(states), size + BESIDE_POSE, len(columns)))
+    for k in [sensor] if sensor else range(1, len(states)):
         change[k, columns] = np.eye(len(columns)) * (1 if sensor else -1)
         if sensor == 0 and kind == "pose":
             t = se_n.translation(states[k].T_root_sensor)
-            change[k, : len(t), len(t) : len(pose)] = -se_n.rotation_jacobian(t)
-    change[~free] = 0.0
+            change[k, :n, n:size] = -se_n.rotation_jacobian(t)
     return change
-
-
-@dataclass(frozen=True, eq=False)
-class _Test:
-    """Of one change."""
-
-    statistic: float
-    """Squared Mahalanobis distance of the change from none, over the scatter of periods."""
-    limit: float
-    """Above which it is significant."""
-    size: Array
-    """(c,) of the change."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """What is estimated: states that are the same in all periods, and the changes that were found."""
-
-    basis: Array
-    """(S K F + G, C) changes of the states by that."""
-    prior_information: Array
-    """(C,)."""
-    prior_gradient: Array
-    """(C,)."""
-
-    def with_change(self, direction: Array) -> "_Model":
-        """The model with a change, whose direction is (S K F + G, c)."""
-        c = direction.shape[1]
-        return _Model(
-            np.column_stack([self.basis, direction]),
-            np.concatenate([self.prior_information, np.full(c, _CHANGE_INFORMATION)]),
-            np.concatenate([self.prior_gradient, np.zeros(c)]),
-        )
-
-
-def _test_candidates(equations: PeriodEquations, model: _Model, candidates: Sequence[_Candidate]) -> list[_Test]:
-    """Rao's tests of changes beside the model."""
-    H, A = equations.information, model.basis
-    HA = H @ A
-    factor = cho_factor(A.T @ HA + np.diag(model.prior_information))
-    # What is left to the minimum without a change.
-    rest = -cho_solve(factor, A.T @ equations.gradient + model.prior_gradient)
-    g = equations.gradient + HA @ rest
-    tests = []
-    for one in candidates:
-        # The change, with the model following it.
-        rows = np.flatnonzero(one.direction.any(axis=1))
-        moved = one.direction[rows]
-        follow = cho_solve(factor, HA[rows].T @ moved)
-        D, HD = one.direction - A @ follow, H[:, rows] @ moved - HA @ follow
-        information = one.direction.T @ HD
-        measured = max(int(np.sum(np.diag(information) > _CHANGE_INFORMATION)), 1)
-        information += _CHANGE_INFORMATION * np.eye(len(information))
-        gradient = one.direction.T @ g
-        size = -np.linalg.solve(information, gradient)
-        by_period = _sum_by_period(equations, D * (g + HD @ size)[:, None])
-        squares = float(np.sum(by_period.T * np.linalg.solve(information, by_period.T)))
-        K = len(by_period)
-        scatter = max(squares / measured * K / (K - 1), 1.0)
-        limit = SCATTER_FACTOR * float(chdtri(measured, _FALSE_ALARM))
-        tests.append(_Test(float(-gradient @ size) / scatter, limit, size))
-    return tests
-
-
-def _sum_by_period(equations: PeriodEquations, contributions: Array) -> Array:
-    """(K, c) sums of contributions (S K F + G, c) of the states in each period."""
-    (S, F), K = equations.free.shape, len(equations.ends)
-    return np.asarray(contributions[: S * K * F].reshape(S, K, F, -1).sum(axis=(0, 2)))
 
 
 def describe_changes(changes: Sequence[Change], names: Sequence[str], root: str, start: float) -> list[Finding]:

@@ -54,6 +54,12 @@ class SensorState:
             self.timing + step[pose + 3 :],
         )
 
+    def deviation_from(self, start: "SensorState") -> Array:
+        """(n + d + 6,) in the order of :meth:`moved`; errors of ranges and timing are 0 at the start."""
+        pose = se_n.difference(self.T_root_sensor, start.T_root_sensor)
+        clock = self.clock_offset - start.clock_offset
+        return np.array([*pose, clock, self.range_bias, self.range_scale, *self.timing])
+
     def date(self, measured: SensorPoints) -> Array:
         """(N,) times of points by the root's clock, s."""
         return np.asarray(measured.times + measured.timing @ self.timing - self.clock_offset)
