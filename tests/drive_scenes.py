@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calgraph.drive.states import TIMING
 from calgraph.drive.sweeps import Sweep
 from calgraph.geometry import Array, se_n
 from calgraph.sensors import LaserScan, Message
+from calgraph.surfaces.sensor_states import TIMING
 
 PERIOD = 0.1
 """Of sweeps, s."""

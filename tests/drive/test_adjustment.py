@@ -14,18 +14,18 @@ from scipy.linalg import cho_solve
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, _add_motion_prior, _reduce_part, adjust_drive
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import (
-    _evaluate,
-    _Evaluated,
+    PlacedPoints,
     associate_points,
     linearize_points,
     locate_points,
+    place_points,
     select_inside,
 )
 from calgraph.drive.stated_poses import StatedPose
-from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import cell_keys
 from calgraph.surfaces.map_agreement import measure_agreement
+from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.surfaces.surface_elimination import (
     NoiseModel,
     _Fit,
@@ -138,9 +138,9 @@ def disturbed(n: int, seed: int = 0) -> tuple[DrivePart, list[SensorState]]:
     return replace(part, points=points), states
 
 
-def evaluate(part: DrivePart, k: int, state: SensorState, beyond: Array | float = 0.0) -> _Evaluated:
-    """All points of a sensor that were measured during the trajectory, moved along their beams."""
-    return _evaluate(part, k, state, select_inside(part, k, state), beyond)
+def place_all(part: DrivePart, states: list[SensorState], beyond: Array | float = 0.0) -> PlacedPoints:
+    """All points that were measured during the trajectory, moved along their beams."""
+    return place_points(part, states, [select_inside(part, k, state) for k, state in enumerate(states)], beyond)
 
 
 class FixedSurfaces:
@@ -150,10 +150,7 @@ class FixedSurfaces:
         self.part, self.states = part, states
         association = associate_points(part, states, 0.3)
         self.at, surfaces = linearize_points(part, states, association), association.surfaces
-        world, ahead = (
-            np.concatenate([evaluate(part, k, state, beyond).world for k, state in enumerate(states)])
-            for beyond in (0.0, 1.0)
-        )
+        world, ahead = (place_all(part, states, beyond).world for beyond in (0.0, 1.0))
         index = surfaces.find(world)
         self.normals, self.center = surfaces.normals[index], surfaces.center[index]
         offset = np.einsum("ij,ij->i", world - self.center, self.normals)
@@ -166,9 +163,7 @@ class FixedSurfaces:
     def residual(self, trajectory: SplineTrajectory, states: list[SensorState], share: float = 1.0) -> Array:
         """Where beams meet surfaces, or at a share of the way from the points to there."""
         part = replace(self.part, trajectory=trajectory)
-        counts = [len(evaluate(part, k, state).time) for k, state in enumerate(states)]
-        beyond = np.split(share * self.beyond, np.cumsum(counts)[:-1])
-        world = np.concatenate([evaluate(part, k, state, beyond[k]).world for k, state in enumerate(states)])
+        world = place_all(part, states, share * self.beyond).world
         return np.asarray(np.einsum("ij,ij->i", world - self.center, self.normals)[self.used])
 
 
@@ -236,9 +231,9 @@ def test_a_state_moves_along_the_axes_of_the_root(n: int) -> None:
 
 def test_only_points_during_the_trajectory_are_used() -> None:
     part, states = disturbed(2)
-    count = len(evaluate(part, 1, states[1]).time)
+    count = len(place_all(part, states).time)
     late = replace(states[1], clock_offset=states[1].clock_offset - 1.0)
-    shifted = evaluate(part, 1, late).time
+    shifted = place_all(part, [states[0], late]).time
     assert len(shifted) < count
     assert shifted.max() <= part.trajectory.end
 

@@ -12,8 +12,8 @@ from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.assemble import DriveResult, assemble_drive
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.result.finding import Finding
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
 
 RIG = Rig.model_validate({

@@ -11,9 +11,9 @@ from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import describe_sensor_errors
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import TIMING, SensorPoints, SensorState
 from calgraph.drive.sweeps import Sweep, smooth_times
 from calgraph.geometry import Array, se_n
+from calgraph.surfaces.sensor_states import TIMING, SensorPoints, SensorState
 from calgraph.surfaces.trajectory import Track, fit_spline
 from drive_scenes import PERIOD, beams_in_plane, drive, scan
 

@@ -12,9 +12,9 @@ from calgraph.drive.board_views import BoardMeasurements, BoardView, SharedError
 from calgraph.drive.board_world import chain_boards, measure_boards
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.sources.camera import CameraSource, split_views
-from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 from drive_board_scenes import CAMERA, CORNERS, FISHEYE, MOUNTED, place_boards, see
 from drive_scenes import drive

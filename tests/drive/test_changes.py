@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from calgraph.drive.adjustment import AdjustmentPriors, adjust_drive
 from calgraph.drive.changes import Change, describe_changes, find_changes
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, se2, se_n
 from calgraph.solver.change_tests import PeriodEquations
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.surfaces.trajectory import Track, fit_spline
 from drive_scenes import beams_in_plane, drive, scan
 

@@ -9,11 +9,11 @@ from calgraph.drive.evidence import _MAX_POINTS, collect_pictures
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import associate_points
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2, se3, se_n
 from calgraph.result import Pictures
 from calgraph.surfaces.placed_points import find_incidence, place_points
+from calgraph.surfaces.sensor_states import SensorPoints, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
 from calgraph.surfaces.trajectory import Track, fit_spline
 from drive_scenes import beams_in_plane, beams_in_space, drive, scan

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from calgraph.drive.relative_motions import RelativeMotions, gather_motions
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, Index, se_n
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
 DIMENSIONS = pytest.mark.parametrize("n", [2, 3])

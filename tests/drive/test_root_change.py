@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.root_change import change_root
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, se_n
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
 
 

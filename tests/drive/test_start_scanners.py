@@ -9,10 +9,10 @@ from calgraph.drive.segments import Segments
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
 from calgraph.drive.start_scanners import place_scanners
-from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
+from calgraph.surfaces.sensor_states import SensorPoints, SensorState
 from calgraph.surfaces.trajectory import Track, fit_spline
 
 CORNERS = np.array([4.0, 3.0, 1.5])

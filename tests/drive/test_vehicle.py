@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.drive.vehicle import fit_pose, join_chords, locate_root, scatter_of
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, se_n, so3
 from calgraph.surfaces.floor import measure_level
+from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
 from calgraph.surfaces.trajectory import Track, fit_spline
 

@@ -23,11 +23,11 @@ from calgraph.drive.changes import PERIOD, Change, find_changes
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import Association, associate_points, linearize_points, locate_points
 from calgraph.drive.stated_poses import StatedPose
-from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n
 from calgraph.solver.change_tests import PeriodEquations
 from calgraph.solver.clustered_covariance import ClusteredScores, widen_covariance
 from calgraph.surfaces.map_agreement import measure_agreement
+from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.surfaces.trajectory import SplineTrajectory
 
@@ -147,9 +147,7 @@ def adjust_drive(
     widened = widen_covariance(covariance, [one.cluster_scores(count) for one in reduced])
     return Adjustment(
         states, parts, widened[:count, :count], covariance[:count, :count], free, noise,
-        agreement=measure_agreement([
-            [locate_points(part, k, state) for k, state in enumerate(states)] for part in parts
-        ]),
+        agreement=measure_agreement([locate_points(part, states) for part in parts]),
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),

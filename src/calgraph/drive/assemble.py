@@ -11,13 +11,13 @@ from calgraph.drive.board_views import BoardMeasurements
 from calgraph.drive.sources import SOURCES
 from calgraph.drive.sources.camera import MIN_VIEWS
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import BESIDE_POSE
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.result import BaseFrame, Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.solver.connected_parts import label_parts
+from calgraph.surfaces.sensor_states import BESIDE_POSE
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "drive longer, with more turns, so that all sensors pass the same walls and furniture"

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, place_sensor, sparse_rows
-from calgraph.drive.states import SensorState
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se3, se_n, so3
 from calgraph.sensors import CameraModel
 from calgraph.sensors.lens_errors import adjust_camera, project_by_lens
+from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 PRINT_ERRORS = 4

@@ -9,11 +9,11 @@ from calgraph.config import Rig
 from calgraph.drive.board_views import PRINT_ERRORS, BoardMeasurements, SharedErrors
 from calgraph.drive.sources.camera import CameraSource, models_of
 from calgraph.drive.sources.source import Source
-from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, se3, se_n
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.sensors import DISTORTION_NAMES
 from calgraph.sensors.lens_errors import displacement_at_corner
+from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track
 
 # Views with which a board is used in a part: one may be an outlier.

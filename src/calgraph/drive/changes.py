@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.result.finding import Finding
 from calgraph.solver.change_tests import PeriodEquations, search_changes
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
 # Duration of a period, s: a whole number of views. Errors of points are correlated for about as long.
 PERIOD = 3.0

@@ -5,13 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calgraph.drive.adjustment import Adjustment
-from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import Association, linearize_points, select_inside
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se2, se3, se_n, so3
 from calgraph.result.pictures import DrivePath, DriveStart, DriveView, Pictures
+from calgraph.surfaces.sensor_states import BESIDE_POSE
 from calgraph.surfaces.surface_points import SurfacePoints
 from calgraph.surfaces.trajectory import SplineTrajectory
 
@@ -59,7 +58,9 @@ def collect_pictures(
             thinned = slice(None, None, len(own) * len(adjusted.parts) // _MAX_POINTS + 1)
             shown = own[thinned]
             if len(shown):
-                points = _raise(_correct_points(part, k, adjusted.states[k], association)[thinned])
+                state = adjusted.states[k]
+                on_surfaces = select_inside(part, k, state) & (association.cell[k] >= 0)
+                points = _raise(state.correct(part.points[k].points[on_surfaces][thinned]))
                 views.append(
                     DriveView(
                         name, number, at.time[shown] - origin, points.astype(np.float32),
@@ -72,13 +73,6 @@ def collect_pictures(
         if name in names and isinstance(start, MotionStart)
     ]
     return Pictures(drive_views=tuple(views), drive_paths=tuple(paths), drive_starts=tuple(before))
-
-
-def _correct_points(part: DrivePart, k: int, state: SensorState, association: Association) -> Array:
-    """(N, n) those of sensor k on surfaces, without the errors of its ranges, m."""
-    points = part.points[k].points[select_inside(part, k, state) & (association.cell[k] >= 0)]
-    ranges = np.linalg.norm(points, axis=1, keepdims=True)
-    return np.asarray(points * (1 - state.range_scale - state.range_bias / ranges))
 
 
 def _find_level(spline: SplineTrajectory, times: Array, association: Association, at: SurfacePoints) -> Array:

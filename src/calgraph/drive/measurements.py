@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csr_array
 
-from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, Index, se_n
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 

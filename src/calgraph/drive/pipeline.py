@@ -25,7 +25,6 @@ from calgraph.drive.start_heights import add_heights
 from calgraph.drive.start_scanners import place_scanners
 from calgraph.drive.start_tree import choose_lead, solve_starts
 from calgraph.drive.stated_poses import StatedPose, find_wrong_poses, resolve_stated_poses
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
@@ -35,6 +34,7 @@ from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 

@@ -1,22 +1,27 @@
 """Points of a drive on flat patches of its surroundings: which are on which, and their linearization."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import BESIDE_POSE, TIMING, SensorState
-from calgraph.geometry import Array, Index, measure_lengths, se_n
+from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.flat_cells import FlatCells
-from calgraph.surfaces.surface_points import THICKNESS_PER_GATE, SurfacePoints, fit_surfaces
+from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState
+from calgraph.surfaces.surface_points import (
+    THICKNESS_PER_GATE,
+    SurfacePoints,
+    differentiate_patches,
+    fit_surfaces,
+    meet_surfaces,
+)
+from calgraph.surfaces.trajectory import SplinePoses
 
 # Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell. On 15 minutes of
 # real scans of an office, 0.5 to 4 s give median errors of 7.4 to 8.9 mm, 0.2 s 10.3, and one view in all 9.9.
 _VIEW_DURATION = 1.0
-# Least cosine of incidence by which it is found where a beam meets a surface: it is metres away at less.
-_MIN_INCIDENCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,72 +40,52 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     them, poses with which sensors measure nothing in common would fit best.
     """
     used = [select_inside(part, k, state) for k, state in enumerate(states)]
-    at = _evaluate_all(part, states, used)
-    counts = [int(one.sum()) for one in used]
-    sensor = np.repeat(np.arange(len(used)), counts)
-    maps = ~np.array([one.flat for one in part.points])[sensor]
-    view = _number_views(part, at.time) * len(used) + sensor
+    at = place_points(part, states, used)
+    maps = ~np.array([one.flat for one in part.points])[at.sensor]
+    view = _number_views(part, at.time) * len(used) + at.sensor
     surfaces = fit_surfaces(at.world[maps], view[maps], gate * THICKNESS_PER_GATE)
     index = surfaces.find(at.world)
     distance = np.einsum("ni,ni->n", at.world - surfaces.center[index], surfaces.normals[index])
     index[np.abs(distance) >= gate] = -1
     cells = [np.full(len(one), -1) for one in used]
-    for cell, inside, found in zip(cells, used, np.split(index, np.cumsum(counts)[:-1]), strict=True):
-        cell[inside] = found
+    for k, (cell, inside) in enumerate(zip(cells, used, strict=True)):
+        cell[inside] = index[at.sensor == k]
     return Association(surfaces, cells)
 
 
-def locate_points(part: DrivePart, k: int, state: SensorState) -> tuple[Array, Index]:
-    """The points (N, n) of sensor k in the world, m, and the views (N,) in which they were measured."""
-    at = _evaluate(part, k, state, select_inside(part, k, state))
-    return at.world, _number_views(part, at.time)
+def locate_points(part: DrivePart, states: Sequence[SensorState]) -> list[tuple[Array, Index]]:
+    """By sensor, its points (N, n) in the world, m, and the views (N,) in which they were measured."""
+    at = place_points(part, states, [select_inside(part, k, state) for k, state in enumerate(states)])
+    view = _number_views(part, at.time)
+    return [(at.world[at.sensor == k], view[at.sensor == k]) for k in range(len(states))]
 
 
 def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:
-    """The residuals of the points of a part that are on surfaces.
-
-    Derivatives are those of the places where beams meet surfaces: the noise of a range moves a point away from
-    its surface and, at oblique incidence, along it. At measured places both belong together, so that floors seem
-    to fall away from the sensor, as ranges that are too long make them.
-    """
+    """The residuals of the points of a part that are on surfaces; see :func:`meet_surfaces`."""
     used = [select_inside(part, k, state) & (association.cell[k] >= 0) for k, state in enumerate(states)]
-    cells = np.concatenate([cell[one] for cell, one in zip(association.cell, used, strict=True)])
-    counts = [int(one.sum()) for one in used]
-    center, axes = association.surfaces.center[cells], association.surfaces.axes[cells]
-    normals = axes[:, :, 0]
-    measured = _evaluate_all(part, states, used)
-    residual = np.einsum("ni,ni->n", normals, measured.world - center)
-    slant = -np.einsum("ni,ni->n", normals, measured.by_sensor[:, :, 1 - BESIDE_POSE])
-    incidence = np.abs(slant)
-    beyond = -residual / np.copysign(np.maximum(incidence, _MIN_INCIDENCE), slant)
-    at = _evaluate_all(part, states, used, np.split(beyond, np.cumsum(counts)[:-1]))
-    place = np.einsum("ni,nij->nj", at.world - center, axes[:, :, 1:])
-    by_turn = se_n.rotation_jacobian(at.position_arm)
-    turn = np.einsum("ni,nij,njk->nk", normals, by_turn, at.rotation_jacobian)
+    cell, surfaces = (
+        np.concatenate([of[one] for of, one in zip(association.cell, used, strict=True)]),
+        association.surfaces,
+    )
+    measured = place_points(part, states, used)
+    residual, incidence, beyond = meet_surfaces(
+        measured.world, -measured.by_sensor[:, :, 1 - BESIDE_POSE], surfaces, cell
+    )
+    at = place_points(part, states, used, beyond)
+    normals, by_turn = surfaces.normals[cell], se_n.rotation_jacobian(at.arm)
+    turn = np.einsum("ni,nij,njk->nk", normals, by_turn, at.root.rotation_jacobian)
     by_pose = np.concatenate([normals, turn], axis=1)
     return SurfacePoints(
-        np.repeat(np.arange(len(used)), counts),
-        cells,
+        at.sensor,
+        cell,
         at.time,
         _number_views(part, at.time),
         residual,
-        np.column_stack([np.ones(len(cells)), place / association.surfaces.extent[cells], incidence]),
-        at.first,
-        (at.basis[:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1]),
+        differentiate_patches(at.world, incidence, surfaces, cell),
+        at.root.first,
+        (at.root.basis[:, :, None] * by_pose[:, None, :]).reshape(len(cell), 4 * by_pose.shape[1]),
         np.einsum("ni,nij->nj", normals, at.by_sensor),
     )
-
-
-def _evaluate_all(
-    part: DrivePart,
-    states: Sequence[SensorState],
-    used: Sequence[NDArray[np.bool_]],
-    beyond: Sequence[Array | float] = (),
-) -> "_Evaluated":
-    """:func:`_evaluate` of all sensors, joined."""
-    each = zip(states, used, beyond or [0.0] * len(states), strict=True)
-    at = [_evaluate(part, k, *one) for k, one in enumerate(each)]
-    return _Evaluated(*(np.concatenate([getattr(one, field.name) for one in at]) for field in fields(_Evaluated)))
 
 
 def _number_views(part: DrivePart, times: Array) -> Index:
@@ -115,56 +100,46 @@ def select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.boo
 
 
 @dataclass(frozen=True, eq=False)
-class _Evaluated:
-    """Points of one sensor in the world, with derivatives."""
+class PlacedPoints:
+    """N points in the world, with derivatives."""
 
+    sensor: Index
+    """(N,)."""
     world: Array
     """(N, n) m."""
     time: Array
     """(N,) by the root's clock, s."""
-    first: Index
-    """(N,) first control point."""
-    basis: Array
-    """(N, 4) weights of control points."""
-    position_arm: Array
+    root: SplinePoses
+    """Of the root at these times."""
+    arm: Array
     """(N, n) from the origin of the root, along the world's axes, m."""
-    rotation_jacobian: Array
-    """(N, d, d) of :class:`SplinePoses`."""
     by_sensor: Array
     """(N, n, n + d + 6) of the place in the world."""
 
 
-def _evaluate(
-    part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool_], beyond: Array | float = 0.0
-) -> _Evaluated:
-    """Some points of sensor k (N,), all within the trajectory, moved along their beams by lengths (N,), m."""
-    measured, trajectory = part.points[k], part.trajectory
-    p, times = measured.points[used], state.date(measured)[used]
-    ranges = measure_lengths(p) if p.shape[1] == 3 else np.hypot(*p.T)
-    direction = p / ranges[:, None]
-    ranges = ranges + beyond
-    p = direction * (ranges * (1 - state.range_scale) - state.range_bias)[:, None]
-    at = trajectory.at(times)
-    T = state.T_root_sensor
-    R_world, R_sensor = se_n.rotation(at.poses), se_n.rotation(T)
-    turned = p @ R_sensor.T
-    x_root = turned + se_n.translation(T)
-    arm = np.einsum("nij,nj->ni", R_world, x_root)
-    beam = np.einsum("nij,nj->ni", R_world, direction @ R_sensor.T)
-    spin = np.einsum("nij,nj->ni", se_n.rotation_jacobian(arm), at.turn_rate)
-    by_time = (at.velocity + spin)[:, :, None]
-    timing = np.broadcast_to(measured.timing, (len(used), TIMING))[used]
-    by_sensor = np.concatenate(
-        [
-            R_world,
-            R_world @ se_n.rotation_jacobian(turned),
-            -by_time,
-            -beam[:, :, None],
-            -(ranges[:, None] * beam)[:, :, None],
-            by_time * timing[:, None, :],
-        ],
-        axis=2,
-    )
-    return _Evaluated(
-        arm + se_n.translation(at.poses), times, at.first, at.basis, arm, at.rotation_jacobian, by_sensor
-    )
+def place_points(
+    part: DrivePart, states: Sequence[SensorState], used: Sequence[NDArray[np.bool_]], beyond: Array | float = 0.0
+) -> PlacedPoints:
+    """Some points of each sensor in the world, sensor by sensor.
+
+    Args:
+        part: of the drive.
+        states: of the sensors.
+        used: (N,) by sensor, which points; all within the trajectory.
+        beyond: (N,) by which they are moved along their beams, m.
+    """
+    counts = [int(one.sum()) for one in used]
+    ahead = np.split(np.broadcast_to(beyond, sum(counts)), np.cumsum(counts)[:-1])
+    each = list(zip(part.points, states, used, strict=True))
+    placed = [state.place(one.points[some], on) for (one, state, some), on in zip(each, ahead, strict=True)]
+    x_root, by_sensor = (np.concatenate(some) for some in zip(*placed, strict=True))
+    time = np.concatenate([state.date(one)[some] for one, state, some in each])
+    timing = np.concatenate([np.broadcast_to(one.timing, (len(some), TIMING))[some] for one, _, some in each])
+    root = part.trajectory.at(time)
+    R = se_n.rotation(root.poses)
+    arm, by_sensor = np.einsum("nij,nj->ni", R, x_root), R @ by_sensor
+    by_time = root.velocity + np.einsum("nij,nj->ni", se_n.rotation_jacobian(arm), root.turn_rate)
+    by_sensor[:, :, -BESIDE_POSE] = -by_time
+    by_sensor[:, :, -TIMING:] = by_time[:, :, None] * timing[:, None, :]
+    sensor = np.repeat(np.arange(len(counts)), counts)
+    return PlacedPoints(sensor, arm + se_n.translation(root.poses), time, root, arm, by_sensor)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
 
 from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, place_sensor, sparse_rows
-from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n, so3
+from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 # Degrees of freedom of Student's t for errors: wheels slip, trackers lose features.

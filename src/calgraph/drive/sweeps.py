@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.drive.states import TIMING
 from calgraph.geometry import Array, Index, measure_lengths
 from calgraph.sensors import LaserScan, PointCloud
 from calgraph.sensors.stamp_smoothing import smooth_stamps
+from calgraph.surfaces.sensor_states import TIMING
 
 # Nearer points are of the robot itself, and ranges of many scanners are not exact there, m.
 MIN_RANGE = 0.5

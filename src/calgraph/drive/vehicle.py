@@ -21,10 +21,10 @@ from scipy.signal import savgol_filter
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2, se3, se_n, so3
 from calgraph.surfaces.floor import axes_from, mean_rotations, measure_level
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
 # Steps in which the heading is taken from the middle, s: knots of trajectories are as dense.
 _STEP = 0.1
@@ -201,11 +201,8 @@ def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Itera
     for measured, state in ((part.points[k], states[k]) for k in sensors):
         times = state.date(measured)
         inside = (times >= part.trajectory.start) & (times <= part.trajectory.end)
-        p = measured.points[inside]
-        ranges = measure_lengths(p)
-        p = p * (1 - state.range_scale - state.range_bias / ranges)[:, None]
         T = part.trajectory.at(times[inside]).poses @ state.T_root_sensor
-        world.append((se_n.rotation(T) @ p[:, :, None])[..., 0] + se_n.translation(T))
+        world.append(se_n.apply(T, state.correct(measured.points[inside])[:, None])[:, 0])
     return np.concatenate(world)
 
 

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from calgraph.geometry import Array, Index
 from calgraph.surfaces.flat_cells import CellLimits, FlatCells, fit_flat_cells, sum_moments_within
 
@@ -9,6 +11,8 @@ from calgraph.surfaces.flat_cells import CellLimits, FlatCells, fit_flat_cells, 
 CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
 # Thickness (standard deviation) up to which a cell is flat at a gate, which then holds 99.7 % of its points.
 THICKNESS_PER_GATE = 1 / 3
+# Least cosine of incidence by which it is found where a beam meets a surface: it is metres away at less.
+_MIN_INCIDENCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,3 +44,32 @@ def fit_surfaces(world: Array, view: Index, thickness: float) -> FlatCells:
     """The cells in which points (N, n) of each view (N,) have a standard deviation of this at most, m."""
     limits = CELL_LIMITS[world.shape[1]]
     return fit_flat_cells(sum_moments_within(world, view, limits.cell), limits, thickness)
+
+
+def meet_surfaces(world: Array, beams: Array, surfaces: FlatCells, cell: Index) -> tuple[Array, Array, Array]:
+    """Distances (N,) of points from the surfaces of cells, cosines (N,) of incidence, and lengths (N,) to these.
+
+    Derivatives are those of the places where beams meet surfaces: the noise of a range moves a point away from
+    its surface and, at oblique incidence, along it. At measured places both belong together, so that floors seem
+    to fall away from the sensor, as ranges that are too long make them.
+
+    Args:
+        world: (N, n) points, m.
+        beams: (N, n) their unit vectors.
+        surfaces: of the world.
+        cell: (N,) of each point.
+
+    Returns:
+        Distances, m, along the normals; cosines, positive; lengths by which beams go on to their surfaces, m.
+    """
+    normals = surfaces.normals[cell]
+    distance = np.einsum("ni,ni->n", normals, world - surfaces.center[cell])
+    slant = np.einsum("ni,ni->n", normals, beams)
+    incidence = np.abs(slant)
+    return distance, incidence, -distance / np.copysign(np.maximum(incidence, _MIN_INCIDENCE), slant)
+
+
+def differentiate_patches(met: Array, incidence: Array, surfaces: FlatCells, cell: Index) -> Array:
+    """:attr:`SurfacePoints.patch` of places (N, n) where beams meet surfaces of cells, at cosines (N,)."""
+    along = np.einsum("ni,nij->nj", met - surfaces.center[cell], surfaces.axes[cell][:, :, 1:])
+    return np.column_stack([np.ones(len(met)), along / surfaces.extent[cell], incidence])

@@ -10,13 +10,13 @@ from calgraph.config import Rig
 from calgraph.drive.odometry import track_sensor
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.source import CLOCK_STDDEV, POSE_STDDEV, Source, SourceKind
-from calgraph.drive.states import SensorPoints
 from calgraph.drive.sweeps import Sweep, read_sweep, smooth_times, thin_sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.sensors import LaserScan, Message, PointCloud
 from calgraph.sensors.kinds import SensorSpec
 from calgraph.sensors.kinds.stated import RangeUncertainty
+from calgraph.surfaces.sensor_states import SensorPoints
 from calgraph.surfaces.trajectory import Track
 
 # Points of a sweep that are kept, registered in odometry, and adjusted: cells of 1 m within 10 m have some ten of

@@ -10,11 +10,11 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.measurements import Measurements
 from calgraph.drive.segments import Segments
-from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.sensors import Message
 from calgraph.sensors.kinds import SensorSpec
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 # Of poses before the adjustment: no prior, but a number that is far above what any robot measures, m and rad.

@@ -12,11 +12,11 @@ from calgraph.drive.relative_motions import gather_motions
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.source import Source, SourceKind, without_ranges
 from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION, measure_turns
-from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, se_n, so3
 from calgraph.sensors import Message, Pose, TransformList
 from calgraph.sensors.kinds import TrajectorySpec
+from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track
 
 # Poses below which there is no motion to compare: at 5 Hz, those of 10 s.

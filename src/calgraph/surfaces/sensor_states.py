@@ -1,10 +1,13 @@
-"""What the joint solution of a drive estimates of a sensor, and the points that it measures."""
+"""What a joint solution estimates of a sensor, and the points that it measures; n = 2 or 3.
+
+The sensor is on a moving root, or stands still in a world that is its root.
+"""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import Array, measure_lengths, se_n
 
 TIMING = 3
 """Number of parameters of the times of beams; see :attr:`SensorPoints.timing`."""
@@ -14,7 +17,7 @@ BESIDE_POSE = 3 + TIMING
 
 @dataclass(frozen=True, eq=False)
 class SensorPoints:
-    """Points that a sensor measured during a part of the drive."""
+    """Points that a sensor measured, with their times."""
 
     points: Array
     """(N, n) in its frame, m."""
@@ -63,3 +66,32 @@ class SensorState:
     def date(self, measured: SensorPoints) -> Array:
         """(N,) times of points by the root's clock, s."""
         return np.asarray(measured.times + measured.timing @ self.timing - self.clock_offset)
+
+    def correct(self, points: Array) -> Array:
+        """Points (N, n) of the sensor without the errors of its ranges, m."""
+        ranges = np.linalg.norm(points, axis=1, keepdims=True)
+        return np.asarray(points * (1 - self.range_scale - self.range_bias / ranges))
+
+    def place(self, points: Array, beyond: Array | float = 0.0) -> tuple[Array, Array]:
+        """Points in the frame of the root, and the derivatives of their places by the state.
+
+        Args:
+            points: (N, n) as measured, sensor frame, m.
+            beyond: (N,) by which they are moved along their beams, m.
+
+        Returns:
+            (N, n) m, and (N, n, n + d + 6); those by clock and timing are 0.
+        """
+        n = points.shape[1]
+        ranges = measure_lengths(points) if n == 3 else np.hypot(*points.T)
+        R = se_n.rotation(self.T_root_sensor)
+        beams = points / ranges[:, None] @ R.T
+        ranges = ranges + beyond
+        arms = beams * (ranges * (1 - self.range_scale) - self.range_bias)[:, None]
+        pose = n * (n + 1) // 2
+        by_state = np.zeros((len(points), n, pose + BESIDE_POSE))
+        by_state[:, :, :n] = np.eye(n)
+        by_state[:, :, n:pose] = se_n.rotation_jacobian(arms)
+        by_state[:, :, pose + 1] = -beams
+        by_state[:, :, pose + 2] = -beams * ranges[:, None]
+        return arms + se_n.translation(self.T_root_sensor), by_state
