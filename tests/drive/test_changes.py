@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from calgraph.drive.adjustment import AdjustmentPriors, adjust_drive
-from calgraph.drive.changes import Change, describe_changes, find_changes
 from calgraph.drive.measurements import DrivePart
 from calgraph.geometry import Array, se2, se_n
 from calgraph.solver.change_tests import PeriodEquations
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.surfaces.trajectory import Track, fit_spline
+from calgraph.verdict.state_changes import Change, describe_changes, find_changes
 from drive_scenes import beams_in_plane, drive, scan
 
 SENSORS, PERIODS, STATES = 3, 10, 3 + BESIDE_POSE
@@ -20,7 +20,7 @@ T_ROOT_SENSOR = [
     se2.pose(2.0, np.array([-0.5, 0.2])),
     se2.pose(-1.0, np.array([0.4, 0])),
 ]
-STATES_OF = [SensorState(T) for T in T_ROOT_SENSOR]
+PLACES: Array = np.array([T[:2, 2] for T in T_ROOT_SENSOR])
 ENDS: Array = 3.0 * np.arange(1.0, PERIODS + 1)
 
 
@@ -37,7 +37,7 @@ def find(change: Array, seed: int = 0, ends: Array = ENDS) -> list[Change]:
     equations = PeriodEquations(
         1e6 * np.eye(len(period)), -1e3 * measured[1:].ravel(), period, same, np.ones(count), np.zeros(count)
     )
-    return find_changes(equations, free, ends, STATES_OF[:S])
+    return find_changes(equations, free, ends, PLACES[:S])
 
 
 def changed(sensor: int, column: int, function: Array) -> Array:
@@ -139,8 +139,10 @@ def test_descriptions_state_what_when_and_what_to_do() -> None:
         Change((0, 2), "clock", 15.0, (0.02,)),
     ]  # fmt: skip
     moved, drifts, jumped = describe_changes(changes, ["front", "rear", "left"], "front", 2.0)
-    assert moved.text.startswith("rear moved by 5.0 mm and 0.57° 10 s from the start: fix it to the robot")
-    assert drifts.text.startswith("the clock of left drifts by 20.0 ms in the course of the drive: synchronize")
+    assert moved.text.startswith("rear moved by 5.0 mm and 0.57° 10 s from the start: fix it firmly")
+    assert drifts.text.startswith(
+        "the clock of left drifts by 20.0 ms in the course of the recording: synchronize"
+    )
     assert jumped.text.startswith("the clock of front or left jumped by 20.0 ms 13 s from the start")
     assert (moved.sensors, drifts.sensors) == (("rear",), ("left",))
     assert jumped.sensors == ("front", "rear", "left")

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, hstack
 
-from calgraph.drive.changes import PERIOD, Change, find_changes
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import Association, associate_points, linearize_points, locate_points
 from calgraph.drive.stated_poses import StatedPose
@@ -30,6 +29,7 @@ from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.surfaces.trajectory import SplineTrajectory
+from calgraph.verdict.state_changes import PERIOD, Change, find_changes
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,7 @@ def adjust_drive(
         progress((k + 1) / len(_GATES))
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
     equations, ends = _release_periods(parts, states, noise, associations, priors, start, shared)
+    places: Array = np.array([se_n.translation(state.T_root_sensor) for state in states])
     widened = widen_covariance(covariance, [one.cluster_scores(count) for one in reduced])
     return Adjustment(
         states, parts, widened[:count, :count], covariance[:count, :count], free, noise,
@@ -155,7 +156,7 @@ def adjust_drive(
         responses=[one.response()[:, :count] for one in reduced],
         shared=shared,
         shared_stddev=np.sqrt(np.diag(widened)[count:]),
-        changes=find_changes(equations, free, ends, states),
+        changes=find_changes(equations, free, ends, places),
     )  # fmt: skip
 
 

@@ -12,7 +12,6 @@ from calgraph.drive.assemble import DriveResult, assemble_drive, describe_sensor
 from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
-from calgraph.drive.changes import describe_changes
 from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
@@ -37,6 +36,7 @@ from calgraph.result.finding import Finding
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
+from calgraph.verdict.state_changes import describe_changes
 
 # Length of a part with a separate world, s, and how many are adjusted: its unknowns are eliminated densely, 300
 # control points of 6 in space, or of 3 in the plane, where cells are met again later. Parts that turn most are

@@ -43,18 +43,19 @@ def widen_covariance(covariance: Array, parts: Sequence[ClusteredScores]) -> Arr
         np.concatenate([sum_clusters(part.scores, label(part)) for part in parts])
         for label in (_label_times, _label_places)
     ]
-    return widen_by_clusters(covariance, kinds)
+    return widen_by_clusters(covariance, kinds, SCATTER_FACTOR)
 
 
-def widen_by_clusters(covariance: Array, kinds: Sequence[Array]) -> Array:
+def widen_by_clusters(covariance: Array, kinds: Sequence[Array], factor: float) -> Array:
     """The covariance (P, P) of independent errors, with the scatter of contributions to the gradient.
 
     Args:
         covariance: of independent errors.
         kinds: (K, P) sums of contributions over independent clusters, of each way to cluster them.
+        factor: of the scatter, for errors that are the same in all clusters.
     """
     meat = sum((_sum_squares(sums) for sums in kinds), np.zeros_like(covariance))
-    return np.asarray(covariance + SCATTER_FACTOR * covariance @ meat @ covariance)
+    return np.asarray(covariance + factor * covariance @ meat @ covariance)
 
 
 def _label_times(part: ClusteredScores) -> Index:

@@ -18,12 +18,12 @@ from calgraph.network.checks.assemble import (
 from calgraph.network.pairs.synchronized_tracks import resample_tracks
 from calgraph.network.space.joint import SpaceSolution
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.space_states import CLOCK, SpaceState
 from calgraph.network.space.start import SpaceStart
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.result import Calibration, Evidence, FitError, SensorPose, Verdict
 from calgraph.result.finding import Finding
 from calgraph.solver.connected_parts import label_parts
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "let people walk farther and in more directions where the views of LiDARs overlap"
@@ -52,8 +52,8 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     """The calibration of a network in space."""
     solution, start = result.solution, result.start
     names = list(start.states) if solution else [rig.root]
-    states = solution.states if solution else [start.states.get(rig.root, SpaceState(np.eye(4)))]
-    T_root_world = se3.inverse(states[0].T_world_sensor)
+    states = solution.states if solution else [start.states.get(rig.root, SensorState(np.eye(4)))]
+    T_root_world = se3.inverse(states[0].T_root_sensor)
     covariance, clocks = _express_in_root(solution, T_root_world) if solution else (np.zeros((6, 6)), np.zeros(1))
     by_sensor = collect_findings(result.findings)
     initial = start.initialization
@@ -62,7 +62,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     sensors = []
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
-        T = np.asarray(T_root_world @ states[k].T_world_sensor)
+        T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
         if k and solution is not None:
             verdict = grade_pose(
@@ -114,7 +114,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             remarks=tuple(finding.text for finding in result.findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
             fit=_describe_fit(names, solution) if solution else {},
-            initial_poses={name: T_root_world @ start.states[name].T_world_sensor for name in names if solution},
+            initial_poses={name: T_root_world @ start.states[name].T_root_sensor for name in names if solution},
         ),
     )
 
@@ -147,18 +147,18 @@ def _express_in_root(solution: SpaceSolution, T_root_world: Array) -> tuple[Arra
     numbers = np.arange(solution.free.size).reshape(S, -1)
     pose = numbers[:, :6].ravel()
     turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])
-    return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, CLOCK]])
+    return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, -BESIDE_POSE]])
 
 
 def _project_poses(
-    names: Sequence[str], states: Sequence[SpaceState], observed: Mapping[str, SpaceObservations | Rejected]
+    names: Sequence[str], states: Sequence[SensorState], observed: Mapping[str, SpaceObservations | Rejected]
 ) -> dict[str, Array]:
     """Poses (3, 3) in the levelled plane of the root of the levelled planes of sensors."""
     planar = {}
     for name, state in zip(names, states, strict=True):
         one = observed[name]
         if isinstance(one, SpaceObservations):
-            T = state.T_world_sensor @ se3.inverse(one.T_floor_sensor)
+            T = state.T_root_sensor @ se3.inverse(one.T_floor_sensor)
             planar[name] = se2.pose(float(np.arctan2(T[1, 0], T[0, 0])), T[:2, 3])
     return planar
 

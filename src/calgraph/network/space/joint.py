@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.periods import release_periods
 from calgraph.network.space.person_paths import (
     SHAPE,
     SHARED_MEAN,
@@ -22,7 +23,6 @@ from calgraph.network.space.person_paths import (
     reduce_person,
 )
 from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
-from calgraph.network.space.space_states import SpaceState, place_points
 from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
@@ -32,7 +32,9 @@ from calgraph.network.space.static_surfaces import (
 )
 from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
 from calgraph.surfaces.map_agreement import measure_agreement
+from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations
+from calgraph.verdict.state_changes import PERIOD, Change, find_changes
 
 # Distances up to which tracks are of one person, and points of one surface, m, by iteration: from errors of the
 # start to those of bodies and of noise.
@@ -46,6 +48,8 @@ _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones of these.
 _MIN_SCALE, _MIN_BODY_VIEW, _MIN_WHITE, _MIN_VIEW = 0.2, 0.003, 0.002, 0.0005
+# By how much the scatter of clusters is multiplied in the covariance.
+_SCATTER_FACTOR = float(__import__("os").environ.get("SF", "1"))
 # Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the
 # probability with which a difference is found where there is none.
 _PLANAR = np.array([0, 1, 5])
@@ -55,14 +59,14 @@ _FALSE_ALARM = 0.001
 
 @dataclass(frozen=True, eq=False)
 class PeopleEquations:
-    """Normal equations from all persons, of the P free states and the 5 numbers that bodies share."""
+    """Normal equations from all persons, of the P free states and the 6 means of the shapes of bodies."""
 
     information: Array
-    """(P + 5, P + 5)."""
+    """(P + 6, P + 6)."""
     gradient: Array
-    """(P + 5,)."""
+    """(P + 6,)."""
     scores: Array
-    """(V, P + 5) what each view contributes to the gradient."""
+    """(V, P + 6) what each view contributes to the gradient."""
     time: Array
     """(V,) of these by the root's clock, s."""
     source: Index
@@ -85,9 +89,9 @@ class Contradiction:
 class SpaceSolution:
     """Of S sensors."""
 
-    states: Sequence[SpaceState]
+    states: Sequence[SensorState]
     free: NDArray[np.bool_]
-    """(S, 9) which states are estimated."""
+    """(S, 12) which states are estimated."""
     covariance: Array
     """(P, P) of these."""
     persons: Sequence[BodySamples]
@@ -98,18 +102,22 @@ class SpaceSolution:
     """Of static points."""
     body_noise: BodyNoise
     body: Array
-    """(5,) means of the numbers of a body."""
+    """(6,) means of the shapes of bodies."""
     agreement: Array
     """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
     contradiction: Sequence[Contradiction]
     """By sensor: where people and surfaces would move its pose."""
+    changes: Sequence[Change]
+    """Of poses and clocks, by number of the sensor."""
+    begin: float
+    """Of what people show, by the root's clock, s."""
     squared_step: float
     """Squared last step, in standard deviations."""
 
 
 def solve_space(
     observations: Sequence[SpaceObservations],
-    states: Sequence[SpaceState],
+    states: Sequence[SensorState],
     prior: Array,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceSolution:
@@ -118,7 +126,7 @@ def solve_space(
     Args:
         observations: by sensor.
         states: start values; the first is the root, in whose levelled frame the solution is.
-        prior: (S, 9) standard deviations of these, 0 of what is fixed.
+        prior: (S, 12) standard deviations of these, 0 of what is fixed.
         progress: called with the fraction done.
     """
     free, start = prior > 0, states
@@ -154,12 +162,17 @@ def solve_space(
         sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
         sum_clusters(along, _label_rings(shared)),
     ]
-    covariance = widen_by_clusters(np.asarray(np.linalg.inv(H), dtype=np.float64), clusters)
-    world = [place_points(state, one.static.points)[0] for state, one in zip(states, observations, strict=True)]
+    covariance = widen_by_clusters(np.asarray(np.linalg.inv(H), dtype=np.float64), clusters, _SCATTER_FACTOR)
+    world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
+    left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
+    equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
+    places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
     return SpaceSolution(
         states, free, covariance[:count, :count], persons, people, shared, noise, body_noise, body,
         agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
         contradiction=_compare_people(people, H, free),
+        changes=find_changes(equations, free, ends, places - places[0]),
+        begin=float(ends[0] - PERIOD),
         squared_step=float(step @ H @ step),
     )  # fmt: skip
 
@@ -182,7 +195,8 @@ def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) ->
 def _label_rings(shared: SharedSurfaces) -> Index:
     """(N,) number of the sensor and ring of each static point: errors of rings are the same everywhere."""
     row = find_rows(shared.points)
-    return np.unique(shared.sensor * (int(row.max(initial=0)) + 1) + row, return_inverse=True)[1].ravel()
+    label = np.unique(shared.sensor * (int(row.max(initial=0)) + 1) + row, return_inverse=True)[1]
+    return np.asarray(label.ravel(), dtype=np.intp)
 
 
 def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
@@ -190,8 +204,8 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
 
     Args:
         people: their equations at the solution.
-        H: (P + 5, P + 5) information of people and surfaces.
-        free: (S, 9).
+        H: (P + 6, P + 6) information of people and surfaces.
+        free: (S, 12).
     """
     found = []
     number = np.cumsum(free.ravel()).reshape(free.shape) - 1
@@ -207,7 +221,7 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
         # What independent groups of people contribute scatters more than independent errors.
         sums = sum_clusters(people.scores[:, rows] - people.scores @ response, people.source)
         inverse = np.linalg.inv(information)
-        covariance = widen_by_clusters(inverse, [sums])
+        covariance = widen_by_clusters(inverse, [sums], _SCATTER_FACTOR)
         statistic = float(size @ np.linalg.solve(covariance, size))
         found.append(
             Contradiction(
@@ -218,8 +232,8 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
     return found
 
 
-def _deviate(states: Sequence[SpaceState], start: Sequence[SpaceState]) -> Array:
-    return np.array([state.deviation(first) for state, first in zip(states, start, strict=True)])
+def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
+    return np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
 
 
 def _estimate_body_noise(persons: Sequence[PersonEquations], noise: BodyNoise) -> BodyNoise:

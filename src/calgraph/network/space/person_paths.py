@@ -30,14 +30,16 @@ from calgraph.network.space.persons import (
     place_samples,
     point_outward,
 )
-from calgraph.network.space.space_states import CLOCK, STATES, SpaceState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
 SHAPE = 6
-"""Numbers of a body: depth of the axis behind the front, its change with the aspect, that between front and back, m;
-lean, and change of the depth with height."""
-SHARED_MEAN, SHARED_STDDEV = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0]), np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
-"""(5,) the mean over persons, and how well it is known before: an ellipse of 0.25 by 0.45 m has 0.15 and 0.045 m at
-its median beam."""
+"""Numbers of a body: depth of the axis behind the front, m, its change with the aspect, and between front and back,
+m, lean, and the change of the depth with height and with distance."""
+SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
+"""(6,) the mean over persons: an ellipse of 0.25 by 0.45 m has a depth of 0.15 m, and 0.045 of it with the aspect,
+at its median beam."""
+SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
+"""(6,) how well it is known before."""
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
 _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
 # Height in the middle of the upper body, and usual distance, m.
@@ -69,7 +71,7 @@ class BodyNoise:
 
 @dataclass(frozen=True, eq=False)
 class PersonEquations:
-    """What one person contributes to the normal equations of P = S F + 2 unknowns: states, then what all share."""
+    """What one person contributes to the normal equations of P = S F + 6 unknowns: states, then what all share."""
 
     information: Array
     """(P, P)."""
@@ -95,10 +97,10 @@ class PersonEquations:
 
 def reduce_person(
     samples: BodySamples,
-    states: Sequence[SpaceState],
+    states: Sequence[SensorState],
     noise: BodyNoise,
     shared: Array,
-    columns: Index | None = None,
+    numbered: tuple[Index, int] | None = None,
 ) -> PersonEquations:
     """The equations of one person, with path and body fitted to the states.
 
@@ -106,11 +108,11 @@ def reduce_person(
         samples: of the person, in order of time.
         states: of all sensors.
         noise: of samples and views.
-        shared: (2,) the mean of a and a', m.
-        columns: (N, 2) which state each sample belongs to, and of how many (the same in all rows), where states
-            change with time; one of each sensor if left out.
+        shared: (6,) the mean of the shapes of persons.
+        numbered: which state each sample belongs to (N,), and of how many, where states change with time; one of
+            each sensor if left out.
     """
-    of_state, count = (samples.sensor, len(states)) if columns is None else (columns[:, 0], int(columns[0, 1]))
+    of_state, count = (samples.sensor, len(states)) if numbered is None else numbered
     times = date_samples(samples, states)
     knots = Knots.spanning(float(times[0]), float(times[-1]), _KNOTS)
     first, weights, slopes = knots.basis_at(times)
@@ -123,7 +125,8 @@ def reduce_person(
     for _ in range(_PASSES):
         rows = _arrange_rows(samples, measured, distance, outward, (first, weights, knots.count), heading, gather)
         fit = _fit(rows, noise, prior, mean)
-        path, velocity = (evaluate_spline(fit.own[:-SHAPE].reshape(-1, 2), first, some) for some in (weights, slopes))
+        control = fit.own[:-SHAPE].reshape(-1, 2)
+        path, velocity = (evaluate_spline(control, first, some) for some in (weights, slopes))
         speed = np.hypot(*velocity.T)
         heading = velocity / np.maximum(speed, 1e-6)[:, None] * (speed > _WALKING)[:, None]
         # Where bodies are, not where they are measured: errors of places would be multiplied with themselves, and
@@ -131,7 +134,7 @@ def reduce_person(
         outward = point_outward(samples, states, path)
     error = (fit.residual[:, None] * rows.direction).reshape(2, -1, 2).sum(axis=0)
     by_state = derive_places(samples, states, measured - np.pad(error, ((0, 0), (0, 1))))
-    by_state[:, :, CLOCK] = velocity
+    by_state[:, :, -BESIDE_POSE] = velocity
     by_states = _arrange_derivatives(rows.direction, by_state, of_state, count)
     H, g, response = _eliminate(rows, fit, by_states, prior, mean)
     force = (fit.residual - fit.error[rows.view]) * fit.information
@@ -147,7 +150,7 @@ def reduce_person(
         white, of_views,
         (fit.residual - fit.error[rows.view]).reshape(2, -1).T,
         fit.weight.reshape(2, -1).T,
-        evaluate_spline(fit.own[:-SHAPE].reshape(-1, 2), first, weights),
+        path,
     )  # fmt: skip
 
 
@@ -222,7 +225,14 @@ def _arrange_rows(
 
 
 def _derive_by_shape(direction: Array, heading: Array, heights: Array, distance: Array) -> Array:
-    """(2N, 5) derivatives by the shape of the body, for unit vectors (2N, 2) and heights over the floor (N,), m."""
+    """(2N, 6) derivatives by the shape of the body.
+
+    Args:
+        direction: (2N, 2) unit vectors, radial ones first.
+        heading: (N, 2) unit vectors of walk, 0 of who stands.
+        heights: (N,) over the floor, m.
+        distance: (N,) from the sensor, m.
+    """
     N = len(heading)
     along = np.einsum("ri,ri->r", direction, np.tile(heading, (2, 1)))
     above = np.tile(heights - _MIDDLE, 2)
@@ -288,9 +298,10 @@ def _arrange_derivatives(direction: Array, by_state: Array, of_state: Index, cou
     N = len(by_state)
     sample = np.tile(np.arange(N), 2)
     values = np.einsum("ri,rif->rf", direction, by_state[sample])
-    column = STATES * of_state[sample, None] + np.arange(STATES)
+    size = by_state.shape[2]
+    column = size * of_state[sample, None] + np.arange(size)
     return csr_array(
-        (values.ravel(), (np.repeat(np.arange(2 * N), STATES), column.ravel())), shape=(2 * N, STATES * count)
+        (values.ravel(), (np.repeat(np.arange(2 * N), size), column.ravel())), shape=(2 * N, size * count)
     )
 
 

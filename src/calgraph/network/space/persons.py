@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.space_states import STATES, SpaceState, place_points
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
 # Distance from the front of a body to its axis, m, by which tracks are moved outward before they are compared.
 FRONT = 0.13
@@ -60,38 +60,39 @@ def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
     )
 
 
-def date_samples(samples: BodySamples, states: Sequence[SpaceState]) -> Array:
+def date_samples(samples: BodySamples, states: Sequence[SensorState]) -> Array:
     """(N,) times of samples by the root's clock, s."""
-    return samples.time - np.array([state.clock_offset for state in states])[samples.sensor]
+    clocks: Array = np.array([state.clock_offset for state in states])
+    return np.asarray(samples.time - clocks[samples.sensor])
 
 
-def place_samples(samples: BodySamples, states: Sequence[SpaceState]) -> Array:
+def place_samples(samples: BodySamples, states: Sequence[SensorState]) -> Array:
     """(N, 3) places of samples in the world, m."""
     places = np.zeros_like(samples.center)
     for k, state in enumerate(states):
         of = np.flatnonzero(samples.sensor == k)
-        places[of] = place_points(state, samples.center[of])[0]
+        places[of] = state.place(samples.center[of])[0]
     return places
 
 
-def point_outward(samples: BodySamples, states: Sequence[SpaceState], places: Array) -> Array:
+def point_outward(samples: BodySamples, states: Sequence[SensorState], places: Array) -> Array:
     """(N, 2) horizontal unit vectors from the sensors of samples to places (N, 2), m."""
-    origins = np.array([state.T_world_sensor[:2, 3] for state in states])
+    origins = np.array([state.T_root_sensor[:2, 3] for state in states])
     away = places - origins[samples.sensor]
     return np.asarray(away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6))
 
 
-def derive_places(samples: BodySamples, states: Sequence[SpaceState], places: Array) -> Array:
-    """(N, 2, 9) derivatives, by the state of the sensor, of samples that are at places (N, 3), m."""
-    derivatives = np.zeros((len(places), 2, STATES))
+def derive_places(samples: BodySamples, states: Sequence[SensorState], places: Array) -> Array:
+    """(N, 2, 12) derivatives, by the state of the sensor, of samples that are at places (N, 3), m."""
+    derivatives = np.zeros((len(places), 2, 6 + BESIDE_POSE))
     for k, state in enumerate(states):
         of = np.flatnonzero(samples.sensor == k)
-        points = se_n.apply(se_n.inverse(state.T_world_sensor), places[of])
-        derivatives[of] = place_points(state, points)[1][:, :2]
+        points = se_n.apply(se_n.inverse(state.T_root_sensor), places[of])
+        derivatives[of] = state.place(points)[1][:, :2]
     return derivatives
 
 
-def find_persons(samples: BodySamples, states: Sequence[SpaceState], gate: float) -> list[BodySamples]:
+def find_persons(samples: BodySamples, states: Sequence[SensorState], gate: float) -> list[BodySamples]:
     """The samples of each person whom two sensors and more measured, in order of time.
 
     Args:
@@ -128,10 +129,10 @@ def _join_tracks(samples: BodySamples, times: Array, places: Array, gate: float)
     pairs = []
     for a in range(len(rows)):
         common = np.minimum(span[a, 1], span[:, 1]) - np.maximum(span[a, 0], span[:, 0])
-        for b in np.flatnonzero((common >= _MIN_COMMON) & (sensor > sensor[a])):
+        for b in np.flatnonzero((common >= _MIN_COMMON) & (sensor > sensor[a])).tolist():
             distance = _measure_distance(times, places, rows[a], rows[b])
             if distance < gate:
-                pairs.append((distance, a, int(b)))
+                pairs.append((distance, a, b))
     members = {k: [k] for k in range(len(rows))}
     person = np.arange(len(rows))
     for _, a, b in sorted(pairs):

@@ -21,6 +21,8 @@ from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.sensors import PointCloud
+from calgraph.surfaces.sensor_states import TIMING
+from calgraph.verdict.state_changes import describe_changes
 
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
@@ -58,6 +60,9 @@ def calibrate_in_space(
     start = start_in_space(rig, measured, options, rng, progress)
     findings += [*start.corrected.findings, *collect_network_findings({}, start.initialization, recording.start)]
     solution = _solve(rig, measured, start, progress) if len(start.states) > 1 else None
+    if solution is not None:
+        names = list(start.states)
+        findings += describe_changes(solution.changes, names, rig.root, solution.begin)
     return assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
 
 
@@ -102,7 +107,9 @@ def _solve(
 
 
 def _state_stddev(rig: Rig, name: str) -> Array:
-    """(9,) of the start of a sensor; see :class:`SpaceState`."""
+    """(12,) of the start of a sensor, in the order of :meth:`SensorState.moved`; times of beams are stated."""
     stated = _lidar_spec(name, rig.sensors[name]).uncertainty
     pose = [*[_PLACE_STDDEV] * 3, *[_ROTATION_STDDEV] * 3, _CLOCK_STDDEV]
-    return np.array([*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale])
+    return np.array(
+        [*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale, *[0.0] * TIMING]
+    )

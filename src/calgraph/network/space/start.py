@@ -12,8 +12,8 @@ from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.body_tracks import to_scanner_tracks
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.space_states import SpaceState
 from calgraph.parallel.progress import Progress
+from calgraph.surfaces.sensor_states import SensorState
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class SpaceStart:
     """Tracks in levelled planes, and their pairs."""
     initialization: NetworkInitialization
     """Poses in the levelled plane of the root."""
-    states: Mapping[str, SpaceState]
+    states: Mapping[str, SensorState]
     """By connected sensor, the root first, in the levelled frame of the root."""
 
 
@@ -46,7 +46,7 @@ def start_in_space(
     start = average_pairs(rig, corrected, options.select_method(rig.settings.published), rng)
     clocks = np.nan_to_num(start.average_clocks()[:, 0])
     states = {
-        name: SpaceState(
+        name: SensorState(
             lift_pose(start.solution.T_root_node[node], observations[name]),
             corrected.clock_offset.get(name, 0.0) + float(clocks[node]),
         )

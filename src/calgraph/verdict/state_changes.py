@@ -1,4 +1,4 @@
-"""Changes during a drive: a sensor that was bumped or comes loose, a clock that jumps or drifts.
+"""Changes during a recording: a sensor that was bumped or comes loose, a clock that jumps or drifts.
 
 Each sensor has a pose and a clock of its own in each period of a few seconds; score tests find a step after a
 period, or a drift over all of them.
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se_n
 from calgraph.result.finding import Finding
 from calgraph.solver.change_tests import PeriodEquations, search_changes
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
 # Duration of a period, s: a whole number of views. Errors of points are correlated for about as long.
 PERIOD = 3.0
@@ -44,9 +43,7 @@ class Change:
     """Of the pose (n + d,) along the root's axes, m and rad, or of the clock (1,), s; of a drift, in all."""
 
 
-def find_changes(
-    equations: PeriodEquations, free: NDArray[np.bool_], ends: Array, states: Sequence[SensorState]
-) -> list[Change]:
+def find_changes(equations: PeriodEquations, free: NDArray[np.bool_], ends: Array, places: Array) -> list[Change]:
     """The significant changes of poses and clocks, the root's included, each searched beside those before it.
 
     Args:
@@ -54,10 +51,10 @@ def find_changes(
             of what is constant.
         free: (S, F) which of the states are estimated.
         ends: (K,) of the periods by the root's clock, s.
-        states: of the solution; the first is the root.
+        places: (S, n) of the sensors from the first, the root, m.
     """
-    S = len(states)
-    candidates = _list_candidates(len(equations.gradient), free, ends, states)
+    S = len(places)
+    candidates = _list_candidates(len(equations.gradient), free, ends, places)
     directions = [one.direction for one in candidates]
     changes = []
     for best, tests in search_changes(equations, directions, _MAX_CHANGES, _FALSE_ALARM):
@@ -86,11 +83,9 @@ class _Candidate:
     """(R, c) by which the states in all periods change with it."""
 
 
-def _list_candidates(
-    rows: int, free: NDArray[np.bool_], ends: Array, states: Sequence[SensorState]
-) -> list[_Candidate]:
+def _list_candidates(rows: int, free: NDArray[np.bool_], ends: Array, places: Array) -> list[_Candidate]:
     """Steps after each period, and drifts. Those of the root are those of all others the other way round."""
-    S = len(states)
+    S = len(places)
     inside = ends[_MIN_PERIODS - 1 : len(ends) - _MIN_PERIODS]
     functions: list[tuple[float | None, Array]] = [(float(time), (ends > time) * 1.0) for time in inside]
     if len(inside):
@@ -100,7 +95,7 @@ def _list_candidates(
     found = []
     for sensor in range(0 if S > 2 else 1, S):
         for kind in kinds:
-            by_state = _change_states(states, sensor, kind)[number, column]
+            by_state = _change_states(free.shape[1], places, sensor, kind)[number, column]
             for time, function in functions:
                 direction = np.zeros((rows, by_state.shape[1]))
                 direction[: len(period)] = by_state * function[period, None]
@@ -108,17 +103,16 @@ def _list_candidates(
     return found
 
 
-def _change_states(states: Sequence[SensorState], sensor: int, kind: Literal["pose", "clock"]) -> Array:
-    """(S, n + d + 6, c) change of all states with that of the pose (n + d,) or the clock (1,) of one sensor."""
-    n = len(states[0].T_root_sensor) - 1
+def _change_states(numbers: int, places: Array, sensor: int, kind: Literal["pose", "clock"]) -> Array:
+    """(S, F, c) change of states of F numbers with that of the pose (n + d,) or the clock (1,) of a sensor."""
+    n = places.shape[1]
     size = n * (n + 1) // 2
     columns = np.arange(size) if kind == "pose" else np.array([size])
-    change = np.zeros((len(states), size + BESIDE_POSE, len(columns)))
-    for k in [sensor] if sensor else range(1, len(states)):
+    change = np.zeros((len(places), numbers, len(columns)))
+    for k in [sensor] if sensor else range(1, len(places)):
         change[k, columns] = np.eye(len(columns)) * (1 if sensor else -1)
         if sensor == 0 and kind == "pose":
-            t = se_n.translation(states[k].T_root_sensor)
-            change[k, :n, n:size] = -se_n.rotation_jacobian(t)
+            change[k, :n, n:size] = -se_n.rotation_jacobian(places[k])
     return change
 
 
@@ -129,7 +123,7 @@ def describe_changes(changes: Sequence[Change], names: Sequence[str], root: str,
         changes: of the solution.
         names: of its sensors, the first of which the others were solved for.
         root: to which their poses are published.
-        start: of the drive by the clock of the first, s.
+        start: of the recording by the clock of the first, s.
     """
     found = []
     for change in changes:
@@ -141,7 +135,9 @@ def describe_changes(changes: Sequence[Change], names: Sequence[str], root: str,
 
 
 def _describe_change(change: Change, sensor: str, start: float) -> str:
-    when = "in the course of the drive" if change.time is None else f"{change.time - start:.0f} s from the start"
+    when = (
+        "in the course of the recording" if change.time is None else f"{change.time - start:.0f} s from the start"
+    )
     if change.kind == "clock":
         milliseconds = 1000 * abs(change.size[0])
         changed = f"drifts by {milliseconds:.1f} ms" if change.time is None else f"jumped by {milliseconds:.1f} ms"
@@ -149,6 +145,6 @@ def _describe_change(change: Change, sensor: str, start: float) -> str:
     n = 2 if len(change.size) == 3 else 3
     mm, degrees = 1000 * np.linalg.norm(change.size[:n]), np.degrees(np.linalg.norm(change.size[n:]))
     return (
-        f"{sensor} moved by {mm:.1f} mm and {degrees:.2f}° {when}: fix it to the robot, and record again; "
-        "or what it measured moved along with the robot"
+        f"{sensor} moved by {mm:.1f} mm and {degrees:.2f}° {when}: fix it firmly, and record again; "
+        "or what it measured moved along with it"
     )

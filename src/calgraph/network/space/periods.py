@@ -1,0 +1,50 @@
+"""Equations of people with a state of each sensor in each period, for score tests of what changes with time."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.network.space.person_paths import SHAPE, BodyNoise, reduce_person
+from calgraph.network.space.persons import BodySamples, date_samples
+from calgraph.solver.change_tests import PeriodEquations
+from calgraph.surfaces.sensor_states import SensorState
+from calgraph.verdict.state_changes import PERIOD
+
+
+def release_periods(
+    persons: Sequence[BodySamples],
+    states: Sequence[SensorState],
+    noise: BodyNoise,
+    body: Array,
+    prior: tuple[Array, Array],
+    free: NDArray[np.bool_],
+) -> tuple[PeriodEquations, Array]:
+    """The equations, and the ends (K,) of periods by the root's clock, s.
+
+    Args:
+        persons: measurements of each.
+        states: the solution.
+        noise: of bodies.
+        body: (6,) means of the shapes of bodies.
+        prior: (P + 6,) information on states and means of shapes, and the gradient by it.
+        free: (S, 12) which states are estimated.
+    """
+    dates = [date_samples(one, states) for one in persons]
+    begin, end = min(one[0] for one in dates), max(one[-1] for one in dates)
+    K = max(int((end - begin) // PERIOD), 1)
+    numbers = free.size * K
+    sensor, period, column = np.nonzero(np.repeat(free[:, None], K, axis=1))
+    rows = np.append((sensor * K + period) * free.shape[1] + column, numbers + np.arange(SHAPE))
+    H, g = np.zeros((len(rows),) * 2), np.zeros(len(rows))
+    for one, times in zip(persons, dates, strict=True):
+        of = np.clip((times - begin) // PERIOD, 0, K - 1).astype(np.intp)
+        reduced = reduce_person(one, states, noise, body, (one.sensor * K + of, len(states) * K))
+        H += reduced.information[np.ix_(rows, rows)]
+        g += reduced.gradient[rows]
+    P = int(free.sum())
+    same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], P + np.arange(SHAPE))
+    constant = np.full(SHAPE, -1)
+    equations = PeriodEquations(H, g, np.append(period, constant), np.eye(P + SHAPE)[same], *prior)
+    return equations, begin + PERIOD * np.arange(1.0, K + 1)
