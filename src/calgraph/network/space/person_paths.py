@@ -33,7 +33,7 @@ from calgraph.network.space.persons import (
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
 SHAPE = 6
-"""Numbers of a body: depth of the axis behind the front, m, its change with the aspect, and between front and back,
+"""Numbers of a body: depth of the axis behind the front, m, its change with the aspect, between front and back,
 m, lean, and the change of the depth with height and with distance."""
 SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
 """(6,) the mean over persons: an ellipse of 0.25 by 0.45 m has a depth of 0.15 m, and 0.045 of it with the aspect,
