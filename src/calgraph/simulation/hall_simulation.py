@@ -34,8 +34,10 @@ _AREA, _MIN_FLOOR, _MIN_PEOPLE = 2.0, 0.25, 0.6
 """Edge of half of the area in the middle that all LiDARs cover, m; least shares of its floor, and of people there
 from 0.9 to 1.8 m, in the field of each."""
 _DRAWS = 500
-_SWAY_PERIODS, _SWAY_STEPS = (1.0, 4.0), 12
+_SWING_PERIODS, _SWING_STEPS = (1.0, 4.0), 12
 """Of a LiDAR that swings, s, and poses on each side that stand for all."""
+_STAMP_JITTER, _LOST_MESSAGES = 0.0002, 0.002
+"""Standard deviation of stamps, s, and probability that a message is not recorded, as in drives."""
 _LATENCIES = 0.002, 0.02
 """From the end of a measurement to its arrival at the recorder, s."""
 _TURN_TIME = 0.97
@@ -48,17 +50,17 @@ class HallMount:
 
     sensor: DriveSensor
     poses: tuple[Array, ...]
-    """(4, 4) T_world_sensor: one, the one before and the one after a bump, or those of a sensor that sways."""
+    """(4, 4) T_world_sensor: one, the one before and the one after a bump, or those of a sensor that swings."""
     columns: Columns
     """Of a sweep that starts at 0."""
     clock: DriveClock
-    sway_period: float = 0.0
+    swing_period: float = 0.0
     """s; 0 for none."""
 
     def pose_of(self, starts: Array) -> Index:
         """(K,) the pose at times (K,), s."""
-        if self.sway_period:
-            phase = np.sin(2 * np.pi * starts / self.sway_period)
+        if self.swing_period:
+            phase = np.sin(2 * np.pi * starts / self.swing_period)
             return np.rint((phase + 1) / 2 * (len(self.poses) - 1)).astype(np.intp)
         return np.minimum(starts > self.clock.fault, len(self.poses) - 1).astype(np.intp)
 
@@ -69,7 +71,7 @@ class HallTruth:
 
     root: str
     T_root_sensor: Mapping[str, Array]
-    """(4, 4) by sensor, at the end where one was bumped, and in the middle where one sways."""
+    """(4, 4) by sensor, at the end where one was bumped, and in the middle where one swings."""
     clock_offsets: Mapping[str, float]
     """By sensor, the sensor's clock minus the root's in the middle of the recording, without jumps, s."""
     T_world_root: Array
@@ -154,7 +156,7 @@ def simulate_hall(scenario: HallScenario) -> SimulatedHall:
 
 
 def _describe_truth(hall: Hall, mounts: tuple[HallMount, ...]) -> HallTruth:
-    last = [mount.poses[len(mount.poses) // 2 if mount.sway_period else -1] for mount in mounts]
+    last = [mount.poses[len(mount.poses) // 2 if mount.swing_period else -1] for mount in mounts]
     names = [mount.sensor.name for mount in mounts]
     T_root_world = se3.inverse(last[0])
     return HallTruth(
@@ -186,7 +188,9 @@ def _simulate_sensor(
         ranges *= np.float32(1 + faults.range_scale)
     if faults.false_returns:
         _add_false_returns(ranges, faults.false_returns, rng)
-    return ranges, scenario.start_time + clock.stamps(starts)
+    stamps = scenario.start_time + clock.stamps(starts) + rng.normal(0, _STAMP_JITTER, len(starts))
+    sent = np.flatnonzero(rng.random(len(starts)) >= _LOST_MESSAGES)
+    return ranges[sent], stamps[sent]
 
 
 def _add_false_returns(ranges: NDArray[np.float32], share: float, rng: np.random.Generator) -> None:
@@ -302,9 +306,9 @@ def _covers_middle(hall: Hall, sensor: DriveSensor, T_world_sensor: Array) -> bo
 
 
 def _disturb(scenario: HallScenario, mount: HallMount, rng: np.random.Generator) -> HallMount:
-    """A sensor that is bumped or sways, if it is the faulty one."""
+    """A sensor that is bumped or swings, if it is the faulty one."""
     faults, T = scenario.faults, mount.poses[0]
-    if mount.sensor.name != scenario.faulty or not (any(faults.bump) or faults.sway):
+    if mount.sensor.name != scenario.faulty or not (any(faults.bump) or faults.swing):
         return mount
     metres, degrees = faults.bump
     move, axis = rng.normal(size=3), rng.normal(size=3)
@@ -313,6 +317,6 @@ def _disturb(scenario: HallScenario, mount: HallMount, rng: np.random.Generator)
         after = se3.pose(turn @ T[:3, :3], T[:3, 3] + metres * move / np.linalg.norm(move))
         return replace(mount, poses=(T, after))
     level = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
-    angles = np.radians(faults.sway) * np.linspace(-1, 1, 2 * _SWAY_STEPS + 1)
+    angles = np.radians(faults.swing) * np.linspace(-1, 1, 2 * _SWING_STEPS + 1)
     poses = tuple(se3.pose(so3.exp(angle * level) @ T[:3, :3], T[:3, 3]) for angle in angles)
-    return replace(mount, poses=poses, sway_period=rng.uniform(*_SWAY_PERIODS))
+    return replace(mount, poses=poses, swing_period=rng.uniform(*_SWING_PERIODS))

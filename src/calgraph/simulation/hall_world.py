@@ -28,6 +28,8 @@ _PASSAGE = 1.0
 _STANDING = so3.exp(np.array([np.pi / 2, 0.0, 0.0]))
 _RISE, _TREAD = 0.16, 0.3
 """Of steps, m."""
+_MOVING_TIME = 1.5
+"""In which a chair or a door is moved, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ def build_hall(scenario: HallScenario) -> Hall:
     Raises:
         InputError: there are too many people for it.
     """
-    rng, walk_rng, people_rng, chair_rng = (np.random.default_rng((scenario.seed, k)) for k in range(4))
+    rng, walk_rng, people_rng, thing_rng = (np.random.default_rng((scenario.seed, k)) for k in range(4))
     size = np.array([rng.uniform(*_LENGTHS), rng.uniform(*_WIDTHS), rng.uniform(*_HALL.height)])
     size[2] = max(size[2], 6.5 * scenario.high)
     half = size[:2] / 2
@@ -73,7 +75,7 @@ def build_hall(scenario: HallScenario) -> Hall:
     options = _people_options(scenario)
     movers = [add_person(walk, options, ground, people_rng) for walk in walks]
     movers += [_drive_cart(walk, ground, people_rng) for walk in carts]
-    movers += _move_chairs(scenario, half, ground, chair_rng) + _move_doors(scenario, half, chair_rng)
+    movers += _move_things(scenario, half, ground, thing_rng)
     circles = [[*one.mean(axis=0), np.linalg.norm(np.ptp(one, axis=0)) / 2] for one in obstacles]
     return Hall(
         size, tuple(surfaces), mirrors, tuple(movers), (*walks, *carts), ground, np.reshape(circles, (-1, 3))
@@ -115,7 +117,7 @@ def _lay_floor(
 
 
 def _on_wall(half: Array, side: int, along: float, height: float, standoff: float) -> Array:
-    """(4, 4) of what hangs on a wall: x along it, y up, z into the hall; ``along`` as a share of its length."""
+    """(4, 4) of what is fixed to a wall: x along it, y up, z into the hall; ``along`` as a share of its length."""
     facing = np.pi / 2 * side
     toward = np.array([np.cos(facing), np.sin(facing), 0.0])
     across, length = half[side % 2], 2 * half[1 - side % 2]
@@ -272,59 +274,43 @@ def _drive_cart(walk: SimulatedWalk, ground: Callable[[Array], Array], rng: np.r
     return _build_mover(pose, boxes, 0.5)
 
 
-def _hold(values: Array, changes: Array, times: Array, seconds: float) -> Array:
-    """(..., G) values (..., M + 1) of which one holds until each of changes (M,), and the next from then on."""
-    knots = np.sort(np.concatenate([changes, changes + seconds]))
-    held = np.repeat(values, 2, axis=-1)[..., 1:-1]
-    return (
-        np.stack([np.interp(times, knots, row) for row in np.atleast_2d(held)])
-        if len(knots)
-        else np.repeat(np.atleast_2d(values[..., :1]), len(times), axis=1)
-    )
-
-
-def _move_chairs(
+def _move_things(
     scenario: HallScenario, half: Array, ground: Callable[[Array], Array], rng: np.random.Generator
 ) -> list[Mover]:
-    """Chairs that stand for a while, and are moved by some decimetres."""
-    boxes = [((0.0, 0.0, 0.45), (0.22, 0.22, 0.025)), ((-0.21, 0.0, 0.7), (0.015, 0.2, 0.22))]
-    boxes += [((x, y, 0.22), (0.015, 0.015, 0.22)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    """Chairs that are moved by some decimetres sometimes, and leaves of doors that turn about hinges on walls."""
+    chair = [((0.0, 0.0, 0.45), (0.22, 0.22, 0.025)), ((-0.21, 0.0, 0.7), (0.015, 0.2, 0.22))]
+    chair += [((x, y, 0.22), (0.015, 0.015, 0.22)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    leaf = [((0.5, 0.0, 1.02), (0.45, 0.02, 1.02))]
     movers = []
     for _ in range(scenario.moved):
         changes = _draw_changes(scenario, rng)
-        places = rng.uniform(-half + 1, half - 1) + np.cumsum(rng.normal(0, 0.4, (len(changes) + 1, 2)), axis=0)
-        yaws = np.cumsum(rng.normal(0, 0.7, len(changes) + 1))
-
-        values = np.vstack([places.T, yaws])
-
-        def pose(times: Array, values: Array = values, at: Array = changes) -> tuple[Array, Array]:
-            x, y, yaw = _hold(values, at, times, 1.5)
-            return np.stack([x, y, ground(np.stack([x, y], axis=1))]), yaw
-
-        movers.append(_build_mover(pose, boxes, 0.3))
-    return movers
-
-
-def _move_doors(scenario: HallScenario, half: Array, rng: np.random.Generator) -> list[Mover]:
-    """Leaves of doors, which turn about hinges on walls."""
-    movers = []
-    for _ in range(scenario.moved):
+        steps = rng.normal(0, [0.4, 0.4, 0.7], (len(changes) + 1, 3))
+        stands = np.append(rng.uniform(-half + 1, half - 1), 0.0) + np.cumsum(steps, axis=0)
+        movers.append(_build_mover(_stand(stands, changes, ground), chair, 0.3))
         T = _on_wall(half, int(rng.integers(4)), rng.uniform(-0.4, 0.4), 0.0, 0.3)
         changes = _draw_changes(scenario, rng)
-        closed = float(np.arctan2(T[1, 0], T[0, 0]))
-        angles = closed + np.where(np.arange(len(changes) + 1) % 2, rng.uniform(0.5, 1.8), 0.0)
-
-        def pose(
-            times: Array, values: Array = angles, at: Array = changes, hinge: Array = T[:3, 3:]
-        ) -> tuple[Array, Array]:
-            return np.repeat(hinge, len(times), axis=1), _hold(values, at, times, 1.5)[0]
-
-        movers.append(_build_mover(pose, [((0.5, 0.0, 1.02), (0.45, 0.02, 1.02))], 0.5))
+        opened = rng.uniform(0.5, 1.8) * (np.arange(len(changes) + 1) % 2)
+        closed = np.array([*T[:2, 3], np.arctan2(T[1, 0], T[0, 0])])
+        movers.append(_build_mover(_stand(closed + opened[:, None] * [0, 0, 1], changes, ground), leaf, 0.5))
     return movers
 
 
 def _draw_changes(scenario: HallScenario, rng: np.random.Generator) -> Array:
-    """(M,) ascending times, s, at least 4 s apart."""
+    """(M,) ascending times, s, at least 5 s apart."""
     slots = max(int(scenario.duration / 8), 1)
     count = min(int(rng.integers(1, 4)), slots)
     return np.sort(8.0 * rng.choice(slots, count, replace=False) + rng.uniform(0.5, 3.0, count))
+
+
+def _stand(
+    stands: Array, changes: Array, ground: Callable[[Array], Array]
+) -> Callable[[Array], tuple[Array, Array]]:
+    """Poses x, y, yaw (M + 1, 3), of which each holds until one of the changes (M,), s."""
+    knots = np.sort(np.concatenate([changes, changes + _MOVING_TIME]))
+    held = np.repeat(stands.T, 2, axis=1)[:, 1:-1]
+
+    def pose(times: Array) -> tuple[Array, Array]:
+        x, y, yaw = (np.interp(times, knots, row) for row in held)
+        return np.stack([x, y, ground(np.stack([x, y], axis=1))]), yaw
+
+    return pose
