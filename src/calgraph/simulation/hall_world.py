@@ -11,7 +11,7 @@ from calgraph.simulation.drive_world import Layout, build_relief, build_walls, u
 from calgraph.simulation.hall_bodies import Mover, Part, place_box
 from calgraph.simulation.hall_people import add_person
 from calgraph.simulation.hall_scenario import HallScenario
-from calgraph.simulation.network_floor import Floor, find_free_space, rectangle
+from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space, rectangle
 from calgraph.simulation.network_people import form_parties, separate_people
 from calgraph.simulation.network_scenario import PeopleOptions
 from calgraph.simulation.network_walks import SAMPLE_INTERVAL, Party, SimulatedWalk, body_clearance, draw_walks
@@ -25,7 +25,8 @@ _CART_SIZE = (1.2, 0.8)
 """Length and width of a vehicle, m."""
 _PASSAGE = 1.0
 """Least distance of furniture from furniture, m."""
-_STANDING = so3.exp(np.array([np.pi / 2, 0.0, 0.0]))
+_DRAWS = 60
+"""Of a place for a piece of furniture, which is left out then."""
 _RISE, _TREAD = 0.16, 0.3
 """Of steps, m."""
 _MOVING_TIME = 1.5
@@ -148,16 +149,16 @@ def _furnish(
     """Pillars, shelves, tables, crates and panes; and what they cover of the floor, as polygons (4, 2), m."""
     surfaces: list[Surface] = []
     obstacles: list[Array] = []
-    half = size[:2] / 2
-    kinds = [*rng.choice(["pillar", "shelf", "table", "crate"], int(rng.integers(5, 11))), *glass * ["pane"]]
     circles: list[tuple[float, float, float]] = []
-    for kind in kinds:
+    half = size[:2] / 2
+    kinds = rng.choice(["pillar", "shelf", "table", "crate"], int(rng.integers(5, 11))).tolist()
+    for kind in [*kinds, *glass * ["pane"]]:
         length, width = {
             "pillar": (0.4, 0.4), "shelf": (rng.uniform(1, 3), 0.5), "table": (rng.uniform(1.2, 2), 0.8),
             "crate": tuple(rng.uniform(0.5, 1.2, 2)), "pane": (rng.uniform(1.5, 3), 0.1),
-        }[str(kind)]  # fmt: skip
+        }[kind]  # fmt: skip
         radius = float(np.hypot(length, width)) / 2
-        for _ in range(60):
+        for _ in range(_DRAWS):
             place = rng.uniform(-half + radius + 0.3, half - radius - 0.3)
             # The middle of the hall stays free, as installers choose where people walk.
             free = np.hypot(*place) > 2.0 + radius
@@ -168,37 +169,43 @@ def _furnish(
         yaw = rng.choice([0, np.pi / 2]) + rng.normal(0, 0.1)
         circles.append((*place, radius))
         obstacles.append(rectangle(place, (length, width), yaw))
-        base = float(ground(place[None])[0])
-        T = upright([*place, base], yaw)
-
-        def add(shape: BoxShape | CylinderShape, x: float, y: float, z: float, T: Array = T) -> None:
-            grey = float(rng.choice([0.1, 0.3, 0.5, 0.8]))
-            surfaces.append(Surface(shape, T @ se3.pose(np.eye(3), np.array([x, y, z])), grey))
-
-        if kind == "pillar":
-            round_ = (
-                CylinderShape(0.2, float(size[2])) if rng.random() < 0.5 else BoxShape(0.4, 0.4, float(size[2]))
-            )
-            add(round_, 0, 0, size[2] / 2)
-        elif kind == "shelf":
-            for z in np.arange(0.1, rng.uniform(1.6, 2.4), 0.45):
-                add(BoxShape(length, width, 0.03), 0, 0, z)
-                if rng.random() < 0.7:
-                    add(BoxShape(length * rng.uniform(0.3, 0.9), 0.4, 0.3), 0, 0, z + 0.16)
-            for x in (-length / 2, length / 2):
-                add(BoxShape(0.04, width, 2.2), x, 0, 1.1)
-        elif kind == "table":
-            add(BoxShape(length, width, 0.03), 0, 0, 0.74)
-            for x in (-1, 1):
-                for y in (-1, 1):
-                    add(CylinderShape(0.025, 0.73), x * (length / 2 - 0.08), y * (width / 2 - 0.08), 0.365)
-        elif kind == "crate":
-            height = rng.uniform(0.4, 1.6)
-            add(BoxShape(length, width, height), 0, 0, height / 2)
-        else:
-            pane = se3.pose(_STANDING, np.array([0.0, 0, 1.1]))
-            surfaces.append(Surface(RectangleShape(length, 2.2), T @ pane, 0.3, glass=True))
+        T = upright([*place, float(ground(place[None])[0])], yaw)
+        if kind == "pane":
+            standing = se3.pose(so3.exp(np.array([np.pi / 2, 0.0, 0.0])), np.array([0.0, 0, 1.1]))
+            surfaces.append(Surface(RectangleShape(length, 2.2), T @ standing, 0.3, glass=True))
+        surfaces += [
+            Surface(shape, T @ se3.pose(np.eye(3), np.array(middle)), float(rng.choice([0.1, 0.3, 0.5, 0.8])))
+            for shape, middle in _build_piece(kind, length, width, float(size[2]), rng)
+        ]
     return surfaces, obstacles
+
+
+def _build_piece(
+    kind: str, length: float, width: float, ceiling: float, rng: np.random.Generator
+) -> list[tuple[BoxShape | CylinderShape, tuple[float, float, float]]]:
+    """Upright shapes of a piece of furniture with their middles over the floor, m."""
+    if kind == "pillar":
+        shape = CylinderShape(0.2, ceiling) if rng.random() < 0.5 else BoxShape(length, width, ceiling)
+        return [(shape, (0, 0, ceiling / 2))]
+    if kind == "shelf":
+        boards = np.arange(0.1, rng.uniform(1.6, 2.4), 0.45).tolist()
+        goods = [z for z in boards if rng.random() < 0.7]
+        return [
+            *((BoxShape(length, width, 0.03), (0, 0, z)) for z in boards),
+            *((BoxShape(length * rng.uniform(0.3, 0.9), 0.4, 0.3), (0, 0, z + 0.16)) for z in goods),
+            *((BoxShape(0.04, width, 2.2), (x, 0, 1.1)) for x in (-length / 2, length / 2)),
+        ]
+    if kind == "table":
+        x, y = length / 2 - 0.08, width / 2 - 0.08
+        legs = [(a, b, 0.365) for a in (-x, x) for b in (-y, y)]
+        return [
+            (BoxShape(length, width, 0.03), (0, 0, 0.74)),
+            *((CylinderShape(0.025, 0.73), leg) for leg in legs),
+        ]
+    if kind == "crate":
+        height = rng.uniform(0.4, 1.6)
+        return [(BoxShape(length, width, height), (0, 0, height / 2))]
+    return []
 
 
 def _people_options(scenario: HallScenario) -> PeopleOptions:
@@ -215,11 +222,11 @@ def _draw_paths(
     floor = Floor(rectangle(np.zeros(2), 2 * half - 0.8), True, tuple(obstacles))
     options = _people_options(scenario)
 
-    def find_space(reach: float) -> Party:
-        return Party(reach, find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3))))
+    def find_space(reach: float) -> FreeSpace:
+        return find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3)))
 
-    parties = form_parties(options, lambda reach: find_space(reach).free_space)
-    vehicles = [find_space(float(np.hypot(*_CART_SIZE)) / 2) for _ in range(scenario.carts)]
+    parties, reach = form_parties(options, find_space), float(np.hypot(*_CART_SIZE)) / 2
+    vehicles = scenario.carts * [Party(reach, find_space(reach))] if scenario.carts else []
     walks = draw_walks([*parties, *vehicles], np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
     people = separate_people(options, walks[: len(parties)], rng)
     return people, walks[len(parties) :]
