@@ -47,7 +47,7 @@ KINDS: Mapping[str, Callable[[np.random.Generator], dict[str, Any]]] = {
     "stairs": lambda _: {"stairs": True},
     "rain": _fault(lambda rng: {"false_returns": _spread(0.003, 0.1, rng)}),
     "bump": _fault(lambda rng: {"bump": (_spread(0.005, 0.05, rng), _spread(0.05, 2.0, rng))}),
-    "sway": _fault(lambda rng: {"sway": _spread(0.05, 1.0, rng)}),
+    "swing": _fault(lambda rng: {"swing": _spread(0.05, 1.0, rng)}),
     "rings": _fault(lambda _: {"ring_bias": 0.03}),
     "clock_drift": _fault(lambda rng: {"clock_drift": _spread(2e-4, 3e-3, rng)}),
     "clock_jump": _fault(lambda rng: {"clock_jump": _spread(0.01, 0.2, rng)}),

@@ -7,8 +7,8 @@ python benchmarks/lidar_networks.py --start                                     
 
 Kinds are those of lidar_network_kinds.py, simulated in memory with bodies and rooms that the estimator does not
 know. A row is one sensor besides the root, as in drives.py, which states what is *confidently wrong*. Poses are
-compared with those at the end, where a sensor was bumped, and with those in the middle, where one sways. The scale
-is that of the positions of all sensors about their mean, over the true ones; the table has its mean and its spread
+compared with those at the end, where a sensor was bumped, and with those in the middle, where one swings. The
+scale is that of the positions of all sensors about their mean, over the true ones; the table has mean and spread
 over networks, per mille. A network is connected if all of its sensors have poses.
 
 Start poses are those of tracks in levelled planes, and have no covariance.

@@ -9,6 +9,9 @@ from typer.testing import CliRunner, Result
 from calgraph.cli.app import app
 from calgraph.cli.simulate_network import _MODEL_OPTIONS
 from calgraph.io.yaml_reading import read_yaml
+from calgraph.recording import open_recordings
+from calgraph.sensors import PointCloud
+from calgraph.simulation import load_truth
 
 Run = Callable[..., Result]
 
@@ -73,3 +76,26 @@ def test_a_wrong_value_is_named_by_its_option(run: Run, tmp_path: Path, options:
     result = run("simulate", "network", "-o", tmp_path / "out", *options)
     assert (result.exit_code, (tmp_path / "out").exists()) == (2, False)
     assert f"calgraph: {message}" in result.stderr
+
+
+def test_lidars_hang_in_a_hall(run: Run, tmp_path: Path) -> None:
+    """Recording, rig and ground truth; options of 2-D scanners are refused by name."""
+    given = ("--lidars", 2, "--lidar-model", "vlp16", "--people-count", 1, "--duration", 2, "--seed", 3)
+    run("simulate", "network", "-o", tmp_path / "a", *given)
+    rig, truth = read_yaml(tmp_path / "a" / "rig.yaml"), load_truth(tmp_path / "a" / "truth.yaml")
+    assert rig["target"]["kind"] == "people"
+    assert {name: one["kind"] for name, one in rig["sensors"].items()} == {
+        "lidar_1": "lidar3d",
+        "lidar_2": "lidar3d",
+    }
+    assert list(truth.T_root_sensor) == list(truth.clock_offsets) == ["lidar_1", "lidar_2"]
+    with open_recordings([tmp_path / "a" / "recording"]) as recording:
+        cloud = next(record.decode() for record in recording.records(["/lidar_2/points"]))
+    assert isinstance(cloud, PointCloud)
+    assert cloud.rings is not None
+    assert cloud.times is not None
+    assert set(cloud.rings) == set(range(16))
+    assert 0.09 < cloud.times.max() < 0.11
+    refused = run("simulate", "network", "-o", tmp_path / "b", "--lidars", 2, "--layout", "lab")
+    assert refused.exit_code == 2
+    assert "--layout: is of 2-D scanners" in refused.output

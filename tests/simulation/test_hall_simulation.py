@@ -21,6 +21,7 @@ from calgraph.simulation.hall_bodies import (
     place_ellipsoid,
     place_limb,
 )
+from calgraph.simulation.hall_mounts import mount_sensors
 from calgraph.simulation.hall_scenario import LIDAR_MODELS
 from calgraph.simulation.hall_world import build_hall
 from calgraph.simulation.network_walks import SAMPLE_INTERVAL
@@ -108,10 +109,11 @@ def test_sensors_are_mounted_as_stated_and_share_the_middle_of_the_hall() -> Non
     """Heights are 2 to 4 m, tilts up to 40 degrees but for the roll; some hang upside down."""
     down = 0
     for seed in range(12):
-        truth = simulate_hall(replace(SHORT, seed=seed, duration=0.5, lidars=("vlp16",) * 4)).truth
-        for mount in truth.mounts:
+        scenario = replace(SHORT, seed=seed, lidars=("vlp16",) * 4)
+        hall = build_hall(scenario)
+        for mount in mount_sensors(scenario, hall, np.random.default_rng(seed)):
             T = mount.poses[0]
-            assert 1.9 < T[2, 3] - truth.hall.ground(T[None, :2, 3])[0] < 4.1
+            assert 1.9 < T[2, 3] - hall.ground(T[None, :2, 3])[0] < 4.1
             assert abs(T[2, 2]) > np.cos(np.radians(60))
             down += T[2, 2] < 0
     assert 2 <= down <= 20
@@ -124,7 +126,7 @@ def test_noise_biases_and_clocks_are_of_the_stated_sizes() -> None:
     assert 0.006 < np.nanmedian(noise) < 0.03
     assert 0.9 < np.isfinite(ranges).mean() < 1
     stamps = simulated.stamps["lidar_2"]
-    assert np.diff(stamps) == pytest.approx(np.full(len(stamps) - 1, 0.1), abs=2e-4)
+    assert np.median(np.diff(stamps)) == pytest.approx(0.1, abs=3e-4)
     assert 0 < abs(simulated.truth.clock_offsets["lidar_2"]) <= 0.05
     assert simulated.truth.clock_offsets["lidar_1"] == 0
 
@@ -147,6 +149,25 @@ def test_people_are_measured_where_they_are() -> None:
     assert points[:, 2].max() < 2.1
 
 
+def test_no_ray_that_meets_a_person_is_left_out() -> None:
+    """Rays are cast at people and vehicles near them only; all of a sweep give the same ranges."""
+    scenario = replace(SHORT, seed=3, people=3, carts=1, moved=2)
+    simulated, empty = simulate_hall(scenario), simulate_hall(replace(scenario, people=0, carts=0, moved=0))
+    mount, sweep = simulated.truth.mounts[1], 7
+    clock = mount.clock.offset + scenario.start_time
+    times = simulated.stamps["lidar_2"][sweep] - clock + mount.columns.times
+    directions = mount.poses[0][:3, :3] @ mount.columns.directions.reshape(-1, 3).T
+    column = np.arange(directions.shape[1]) // mount.columns.elevations.shape[1]
+    nearest = empty.ranges["lidar_2"][sweep].astype(np.float64)
+    for mover in simulated.truth.hall.movers:
+        hits = cast_mover(mover, times, column, mount.poses[0][:3, 3], directions)
+        nearest = np.fmin(nearest, hits.ranges)
+    # Stamps have a jitter of 0.2 ms, in which limbs move by a millimetre.
+    differ = np.abs(nearest - simulated.ranges["lidar_2"][sweep]) > 0.02
+    assert np.sum(nearest < empty.ranges["lidar_2"][sweep] - 0.05) > 100
+    assert np.sum(differ) <= 5
+
+
 def test_the_same_seed_gives_the_same_recording_and_others_do_not() -> None:
     scenario = replace(SHORT, people=2, errors=HallScenario().errors)
     one, two, other = (simulate_hall(one) for one in (scenario, scenario, replace(scenario, seed=2)))
@@ -165,31 +186,31 @@ def test_faults_are_of_one_sensor_at_the_stated_time() -> None:
     change = se3.difference(bumped.truth.T_root_sensor["lidar_2"], base.truth.T_root_sensor["lidar_2"])
     assert np.linalg.norm(change[:3]) == pytest.approx(0.05)
     assert np.degrees(np.linalg.norm(change[3:])) == pytest.approx(2.0)
-    same = np.isclose(bumped.ranges["lidar_2"], base.ranges["lidar_2"], equal_nan=True).all(axis=1)
-    assert same[:9].all()
-    assert not same[10:].any()
+    same = np.all(np.isclose(bumped.ranges["lidar_2"], base.ranges["lidar_2"], equal_nan=True), axis=1)
+    assert np.all(same[:9])
+    assert not np.any(same[10:])
     stretched = simulate(range_scale=0.01)
     assert np.nanmedian(stretched.ranges["lidar_2"] / base.ranges["lidar_2"]) == pytest.approx(1.01)
     jumped = simulate(clock_jump=0.1)
     assert jumped.stamps["lidar_2"][-1] - base.stamps["lidar_2"][-1] == pytest.approx(0.1)
     assert jumped.stamps["lidar_2"][0] == base.stamps["lidar_2"][0]
-    swaying = simulate(sway=0.5)
-    T = np.array(swaying.truth.mounts[1].poses)
+    swinging = simulate(swing=0.5)
+    T = np.array(swinging.truth.mounts[1].poses)
     assert np.degrees(np.linalg.norm(se3.difference(T[0], T[-1])[3:])) == pytest.approx(1.0)
     np.testing.assert_allclose(
-        swaying.truth.T_root_sensor["lidar_2"], base.truth.T_root_sensor["lidar_2"], atol=1e-9
+        swinging.truth.T_root_sensor["lidar_2"], base.truth.T_root_sensor["lidar_2"], atol=1e-9
     )
     rain = simulate(false_returns=0.02)
     wrong = ~np.isclose(rain.ranges["lidar_1"], base.ranges["lidar_1"], equal_nan=True)
     assert 0.01 < wrong.mean() < 0.025
     with pytest.raises(InputError, match="none of"):
-        simulate(sensor="lidar_3")  # type: ignore[arg-type]
+        simulate_hall(replace(SHORT, faults=HallFaults(sensor="lidar_3")))
 
 
 def test_glass_mirrors_stairs_slopes_and_moved_things_change_what_is_measured() -> None:
     base = simulate_hall(SHORT).ranges["lidar_1"]
     for change in ({"glass": 4}, {"mirrors": 3}, {"stairs": True}, {"floor_slope": 0.03}, {"moved": 6}):
-        measured = simulate_hall(replace(SHORT, **change)).ranges["lidar_1"]  # type: ignore[arg-type]
+        measured = simulate_hall(replace(SHORT, **change)).ranges["lidar_1"]
         assert measured.shape == base.shape
         assert np.mean(~np.isclose(measured, base, atol=0.01, equal_nan=True)) > 0.002
 
@@ -213,8 +234,8 @@ def test_a_second_of_a_lidar_takes_less_than_a_quarter_of_a_second() -> None:
     assert LIDAR_MODELS["xt32"].rings == 32
     simulate_hall(scenario)
     began = process_time()
-    simulate_hall(replace(scenario, duration=11.0))
+    simulate_hall(replace(scenario, duration=6.0))
     longer = process_time() - began
     began = process_time()
     simulate_hall(scenario)
-    assert (longer - (process_time() - began)) / 20 < 0.25
+    assert (longer - (process_time() - began)) / 10 < 0.25

@@ -57,7 +57,7 @@ def simulate_network_options(
     """Simulate scanners in a building, and people who walk through; write recording and ground truth.
 
     Defaults are those of the office; another layout has other defaults, which options override. With --lidars
-    3-D LiDARs hang in a hall.
+    the sensors are 3-D LiDARs in a hall.
     """
     if lidars:
         _simulate_hall(

@@ -86,7 +86,9 @@ def simulate_sweeps(
         own: constant errors of this sensor.
         rng: for the noise.
     """
-    still = [_cast_still(hall, sensor, columns, T, errors, own, np.random.default_rng(7)) for T in poses]
+    # The deviations of beams are the same in all poses and sweeps.
+    seed = int(rng.integers(2**32))
+    still = [_cast_still(hall, sensor, columns, T, errors, own, np.random.default_rng(seed)) for T in poses]
     moving = [_cast_movers(hall, one, columns, starts, pose_of_sweep == pose) for pose, one in enumerate(still)]
     beams = columns.elevations.shape[1]
     ranges = np.empty((len(starts), len(columns.times) * beams), dtype=np.float32)

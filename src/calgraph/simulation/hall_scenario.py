@@ -26,12 +26,12 @@ class HallFaults:
     """What is wrong; one thing at a time in benchmarks."""
 
     sensor: str = ""
-    """Which sensor bump, sway, clock and scale concern; the last one if empty."""
+    """Which sensor bump, swing, clock and scale concern; the last one if empty."""
     time: float = 0.5
     """When bump and jump occur, as a fraction of the recording."""
     bump: tuple[float, float] = (0.0, 0.0)
     """By how much it is displaced and rotated from then on, m and degrees."""
-    sway: float = 0.0
+    swing: float = 0.0
     """Amplitude by which it swings about a horizontal axis, as on a long rod, degrees."""
     clock_drift: float = 0.0
     """By how much its clock runs fast."""
@@ -66,7 +66,7 @@ class HallScenario:
     max_clock_offset: float = 0.05
     """Of a sensor's clock relative to the root's, s."""
     high: bool = False
-    """Whether sensors hang 4 to 6 m high, and not 2 to 4 m."""
+    """Whether sensors are 4 to 6 m high, and not 2 to 4 m."""
     moved: int = 0
     """Chairs that are moved sometimes, and as many doors that open and close."""
     glass: int = 0

@@ -11,7 +11,7 @@ from calgraph.simulation.drive_world import Layout, build_relief, build_walls, u
 from calgraph.simulation.hall_bodies import Mover, Part, place_box
 from calgraph.simulation.hall_people import add_person
 from calgraph.simulation.hall_scenario import HallScenario
-from calgraph.simulation.network_floor import Floor, find_free_space, rectangle
+from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space, rectangle
 from calgraph.simulation.network_people import form_parties, separate_people
 from calgraph.simulation.network_scenario import PeopleOptions
 from calgraph.simulation.network_walks import SAMPLE_INTERVAL, Party, SimulatedWalk, body_clearance, draw_walks
@@ -25,9 +25,12 @@ _CART_SIZE = (1.2, 0.8)
 """Length and width of a vehicle, m."""
 _PASSAGE = 1.0
 """Least distance of furniture from furniture, m."""
-_STANDING = so3.exp(np.array([np.pi / 2, 0.0, 0.0]))
+_DRAWS = 60
+"""Of a place for a piece of furniture, which is left out then."""
 _RISE, _TREAD = 0.16, 0.3
 """Of steps, m."""
+_MOVING_TIME = 1.5
+"""In which a chair or a door is moved, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +57,7 @@ def build_hall(scenario: HallScenario) -> Hall:
     Raises:
         InputError: there are too many people for it.
     """
-    rng, walk_rng, people_rng, chair_rng = (np.random.default_rng((scenario.seed, k)) for k in range(4))
+    rng, walk_rng, people_rng, thing_rng = (np.random.default_rng((scenario.seed, k)) for k in range(4))
     size = np.array([rng.uniform(*_LENGTHS), rng.uniform(*_WIDTHS), rng.uniform(*_HALL.height)])
     size[2] = max(size[2], 6.5 * scenario.high)
     half = size[:2] / 2
@@ -73,7 +76,7 @@ def build_hall(scenario: HallScenario) -> Hall:
     options = _people_options(scenario)
     movers = [add_person(walk, options, ground, people_rng) for walk in walks]
     movers += [_drive_cart(walk, ground, people_rng) for walk in carts]
-    movers += _move_chairs(scenario, half, ground, chair_rng) + _move_doors(scenario, half, chair_rng)
+    movers += _move_things(scenario, half, ground, thing_rng)
     circles = [[*one.mean(axis=0), np.linalg.norm(np.ptp(one, axis=0)) / 2] for one in obstacles]
     return Hall(
         size, tuple(surfaces), mirrors, tuple(movers), (*walks, *carts), ground, np.reshape(circles, (-1, 3))
@@ -115,7 +118,7 @@ def _lay_floor(
 
 
 def _on_wall(half: Array, side: int, along: float, height: float, standoff: float) -> Array:
-    """(4, 4) of what hangs on a wall: x along it, y up, z into the hall; ``along`` as a share of its length."""
+    """(4, 4) of what is fixed to a wall: x along it, y up, z into the hall; ``along`` as a share of its length."""
     facing = np.pi / 2 * side
     toward = np.array([np.cos(facing), np.sin(facing), 0.0])
     across, length = half[side % 2], 2 * half[1 - side % 2]
@@ -146,16 +149,16 @@ def _furnish(
     """Pillars, shelves, tables, crates and panes; and what they cover of the floor, as polygons (4, 2), m."""
     surfaces: list[Surface] = []
     obstacles: list[Array] = []
-    half = size[:2] / 2
-    kinds = [*rng.choice(["pillar", "shelf", "table", "crate"], int(rng.integers(5, 11))), *glass * ["pane"]]
     circles: list[tuple[float, float, float]] = []
-    for kind in kinds:
+    half = size[:2] / 2
+    kinds = rng.choice(["pillar", "shelf", "table", "crate"], int(rng.integers(5, 11))).tolist()
+    for kind in [*kinds, *glass * ["pane"]]:
         length, width = {
             "pillar": (0.4, 0.4), "shelf": (rng.uniform(1, 3), 0.5), "table": (rng.uniform(1.2, 2), 0.8),
             "crate": tuple(rng.uniform(0.5, 1.2, 2)), "pane": (rng.uniform(1.5, 3), 0.1),
-        }[str(kind)]  # fmt: skip
+        }[kind]  # fmt: skip
         radius = float(np.hypot(length, width)) / 2
-        for _ in range(60):
+        for _ in range(_DRAWS):
             place = rng.uniform(-half + radius + 0.3, half - radius - 0.3)
             # The middle of the hall stays free, as installers choose where people walk.
             free = np.hypot(*place) > 2.0 + radius
@@ -166,37 +169,43 @@ def _furnish(
         yaw = rng.choice([0, np.pi / 2]) + rng.normal(0, 0.1)
         circles.append((*place, radius))
         obstacles.append(rectangle(place, (length, width), yaw))
-        base = float(ground(place[None])[0])
-        T = upright([*place, base], yaw)
-
-        def add(shape: BoxShape | CylinderShape, x: float, y: float, z: float, T: Array = T) -> None:
-            grey = float(rng.choice([0.1, 0.3, 0.5, 0.8]))
-            surfaces.append(Surface(shape, T @ se3.pose(np.eye(3), np.array([x, y, z])), grey))
-
-        if kind == "pillar":
-            round_ = (
-                CylinderShape(0.2, float(size[2])) if rng.random() < 0.5 else BoxShape(0.4, 0.4, float(size[2]))
-            )
-            add(round_, 0, 0, size[2] / 2)
-        elif kind == "shelf":
-            for z in np.arange(0.1, rng.uniform(1.6, 2.4), 0.45):
-                add(BoxShape(length, width, 0.03), 0, 0, z)
-                if rng.random() < 0.7:
-                    add(BoxShape(length * rng.uniform(0.3, 0.9), 0.4, 0.3), 0, 0, z + 0.16)
-            for x in (-length / 2, length / 2):
-                add(BoxShape(0.04, width, 2.2), x, 0, 1.1)
-        elif kind == "table":
-            add(BoxShape(length, width, 0.03), 0, 0, 0.74)
-            for x in (-1, 1):
-                for y in (-1, 1):
-                    add(CylinderShape(0.025, 0.73), x * (length / 2 - 0.08), y * (width / 2 - 0.08), 0.365)
-        elif kind == "crate":
-            height = rng.uniform(0.4, 1.6)
-            add(BoxShape(length, width, height), 0, 0, height / 2)
-        else:
-            pane = se3.pose(_STANDING, np.array([0.0, 0, 1.1]))
-            surfaces.append(Surface(RectangleShape(length, 2.2), T @ pane, 0.3, glass=True))
+        T = upright([*place, float(ground(place[None])[0])], yaw)
+        if kind == "pane":
+            standing = se3.pose(so3.exp(np.array([np.pi / 2, 0.0, 0.0])), np.array([0.0, 0, 1.1]))
+            surfaces.append(Surface(RectangleShape(length, 2.2), T @ standing, 0.3, glass=True))
+        surfaces += [
+            Surface(shape, T @ se3.pose(np.eye(3), np.array(middle)), float(rng.choice([0.1, 0.3, 0.5, 0.8])))
+            for shape, middle in _build_piece(kind, length, width, float(size[2]), rng)
+        ]
     return surfaces, obstacles
+
+
+def _build_piece(
+    kind: str, length: float, width: float, ceiling: float, rng: np.random.Generator
+) -> list[tuple[BoxShape | CylinderShape, tuple[float, float, float]]]:
+    """Upright shapes of a piece of furniture with their middles over the floor, m."""
+    if kind == "pillar":
+        shape = CylinderShape(0.2, ceiling) if rng.random() < 0.5 else BoxShape(length, width, ceiling)
+        return [(shape, (0, 0, ceiling / 2))]
+    if kind == "shelf":
+        boards = np.arange(0.1, rng.uniform(1.6, 2.4), 0.45).tolist()
+        goods = [z for z in boards if rng.random() < 0.7]
+        return [
+            *((BoxShape(length, width, 0.03), (0, 0, z)) for z in boards),
+            *((BoxShape(length * rng.uniform(0.3, 0.9), 0.4, 0.3), (0, 0, z + 0.16)) for z in goods),
+            *((BoxShape(0.04, width, 2.2), (x, 0, 1.1)) for x in (-length / 2, length / 2)),
+        ]
+    if kind == "table":
+        x, y = length / 2 - 0.08, width / 2 - 0.08
+        legs = [(a, b, 0.365) for a in (-x, x) for b in (-y, y)]
+        return [
+            (BoxShape(length, width, 0.03), (0, 0, 0.74)),
+            *((CylinderShape(0.025, 0.73), leg) for leg in legs),
+        ]
+    if kind == "crate":
+        height = rng.uniform(0.4, 1.6)
+        return [(BoxShape(length, width, height), (0, 0, height / 2))]
+    return []
 
 
 def _people_options(scenario: HallScenario) -> PeopleOptions:
@@ -213,11 +222,11 @@ def _draw_paths(
     floor = Floor(rectangle(np.zeros(2), 2 * half - 0.8), True, tuple(obstacles))
     options = _people_options(scenario)
 
-    def find_space(reach: float) -> Party:
-        return Party(reach, find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3))))
+    def find_space(reach: float) -> FreeSpace:
+        return find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3)))
 
-    parties = form_parties(options, lambda reach: find_space(reach).free_space)
-    vehicles = [find_space(float(np.hypot(*_CART_SIZE)) / 2) for _ in range(scenario.carts)]
+    parties, reach = form_parties(options, find_space), float(np.hypot(*_CART_SIZE)) / 2
+    vehicles = scenario.carts * [Party(reach, find_space(reach))] if scenario.carts else []
     walks = draw_walks([*parties, *vehicles], np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
     people = separate_people(options, walks[: len(parties)], rng)
     return people, walks[len(parties) :]
@@ -272,59 +281,43 @@ def _drive_cart(walk: SimulatedWalk, ground: Callable[[Array], Array], rng: np.r
     return _build_mover(pose, boxes, 0.5)
 
 
-def _hold(values: Array, changes: Array, times: Array, seconds: float) -> Array:
-    """(..., G) values (..., M + 1) of which one holds until each of changes (M,), and the next from then on."""
-    knots = np.sort(np.concatenate([changes, changes + seconds]))
-    held = np.repeat(values, 2, axis=-1)[..., 1:-1]
-    return (
-        np.stack([np.interp(times, knots, row) for row in np.atleast_2d(held)])
-        if len(knots)
-        else np.repeat(np.atleast_2d(values[..., :1]), len(times), axis=1)
-    )
-
-
-def _move_chairs(
+def _move_things(
     scenario: HallScenario, half: Array, ground: Callable[[Array], Array], rng: np.random.Generator
 ) -> list[Mover]:
-    """Chairs that stand for a while, and are moved by some decimetres."""
-    boxes = [((0.0, 0.0, 0.45), (0.22, 0.22, 0.025)), ((-0.21, 0.0, 0.7), (0.015, 0.2, 0.22))]
-    boxes += [((x, y, 0.22), (0.015, 0.015, 0.22)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    """Chairs that are moved by some decimetres sometimes, and leaves of doors that turn about hinges on walls."""
+    chair = [((0.0, 0.0, 0.45), (0.22, 0.22, 0.025)), ((-0.21, 0.0, 0.7), (0.015, 0.2, 0.22))]
+    chair += [((x, y, 0.22), (0.015, 0.015, 0.22)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    leaf = [((0.5, 0.0, 1.02), (0.45, 0.02, 1.02))]
     movers = []
     for _ in range(scenario.moved):
         changes = _draw_changes(scenario, rng)
-        places = rng.uniform(-half + 1, half - 1) + np.cumsum(rng.normal(0, 0.4, (len(changes) + 1, 2)), axis=0)
-        yaws = np.cumsum(rng.normal(0, 0.7, len(changes) + 1))
-
-        values = np.vstack([places.T, yaws])
-
-        def pose(times: Array, values: Array = values, at: Array = changes) -> tuple[Array, Array]:
-            x, y, yaw = _hold(values, at, times, 1.5)
-            return np.stack([x, y, ground(np.stack([x, y], axis=1))]), yaw
-
-        movers.append(_build_mover(pose, boxes, 0.3))
-    return movers
-
-
-def _move_doors(scenario: HallScenario, half: Array, rng: np.random.Generator) -> list[Mover]:
-    """Leaves of doors, which turn about hinges on walls."""
-    movers = []
-    for _ in range(scenario.moved):
+        steps = rng.normal(0, [0.4, 0.4, 0.7], (len(changes) + 1, 3))
+        stands = np.append(rng.uniform(-half + 1, half - 1), 0.0) + np.cumsum(steps, axis=0)
+        movers.append(_build_mover(_stand(stands, changes, ground), chair, 0.3))
         T = _on_wall(half, int(rng.integers(4)), rng.uniform(-0.4, 0.4), 0.0, 0.3)
         changes = _draw_changes(scenario, rng)
-        closed = float(np.arctan2(T[1, 0], T[0, 0]))
-        angles = closed + np.where(np.arange(len(changes) + 1) % 2, rng.uniform(0.5, 1.8), 0.0)
-
-        def pose(
-            times: Array, values: Array = angles, at: Array = changes, hinge: Array = T[:3, 3:]
-        ) -> tuple[Array, Array]:
-            return np.repeat(hinge, len(times), axis=1), _hold(values, at, times, 1.5)[0]
-
-        movers.append(_build_mover(pose, [((0.5, 0.0, 1.02), (0.45, 0.02, 1.02))], 0.5))
+        opened = rng.uniform(0.5, 1.8) * (np.arange(len(changes) + 1) % 2)
+        closed = np.array([*T[:2, 3], np.arctan2(T[1, 0], T[0, 0])])
+        movers.append(_build_mover(_stand(closed + opened[:, None] * [0, 0, 1], changes, ground), leaf, 0.5))
     return movers
 
 
 def _draw_changes(scenario: HallScenario, rng: np.random.Generator) -> Array:
-    """(M,) ascending times, s, at least 4 s apart."""
+    """(M,) ascending times, s, at least 5 s apart."""
     slots = max(int(scenario.duration / 8), 1)
     count = min(int(rng.integers(1, 4)), slots)
     return np.sort(8.0 * rng.choice(slots, count, replace=False) + rng.uniform(0.5, 3.0, count))
+
+
+def _stand(
+    stands: Array, changes: Array, ground: Callable[[Array], Array]
+) -> Callable[[Array], tuple[Array, Array]]:
+    """Poses x, y, yaw (M + 1, 3), of which each holds until one of the changes (M,), s."""
+    knots = np.sort(np.concatenate([changes, changes + _MOVING_TIME]))
+    held = np.repeat(stands.T, 2, axis=1)[:, 1:-1]
+
+    def pose(times: Array) -> tuple[Array, Array]:
+        x, y, yaw = (np.interp(times, knots, row) for row in held)
+        return np.stack([x, y, ground(np.stack([x, y], axis=1))]), yaw
+
+    return pose
