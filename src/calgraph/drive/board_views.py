@@ -241,11 +241,8 @@ class BoardMeasurements:
                 len(own), N, 2, -1
             )
             turned = J.reshape(-1, N, 2, 3) @ T_camera_board[own, None, :3, :3] @ by_print[own]
-            for b, columns in enumerate(self.errors.prints):
-                of_board = own[self.rig_board[self.board[own]] == b]
-                by_shared[
-                    of_board[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None], columns
-                ] = turned[self.rig_board[self.board[own]] == b]
+            rows = own[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None]
+            by_shared[(*rows, self.errors.prints[self.rig_board[self.board[own]]][:, None, None])] = turned
         # Corners that cannot be projected, or are far off, have no weight: derivatives have no bound there.
         error = np.linalg.norm(residual, axis=-1)
         widths = np.array([self.errors.cameras[k].width for k in self.sensor.tolist()])

@@ -10,11 +10,11 @@ from calgraph.drive.board_views import PRINT_ERRORS, BoardMeasurements, SharedEr
 from calgraph.drive.sources.camera import CameraSource, models_of
 from calgraph.drive.sources.source import Source
 from calgraph.geometry import Array, se3, se_n
-from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.sensors import DISTORTION_NAMES
-from calgraph.sensors.lens_errors import displacement_at_corner
+from calgraph.graph.spanning_tree import walk_tree
 from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.trajectory import SplineTrajectory, Track
+from calgraph.verdict.lens_parameters import list_lens_errors, readout_error
+from calgraph.verdict.parameter_estimates import PriorParameter
 
 # Views with which a board is used in a part: one may be an outlier.
 _MIN_VIEWS = 3
@@ -28,7 +28,7 @@ _EXACT = 1e-9
 _BIN = 0.05
 
 
-def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, tuple[EstimatedParameter, ...], Array]:
+def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, tuple[PriorParameter, ...], Array]:
     """The errors of lenses and prints: their places, what they are, and prior standard deviations (G,).
 
     Exact ones have tiny standard deviations. All prints share scale and aspect: they are of one printer, and paper
@@ -37,50 +37,28 @@ def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, tuple[
     cameras = {used.index(name): camera for name, camera in models_of(rig).items() if name in used}
     lens: dict[int, slice] = {}
     readout: dict[int, int] = {}
-    found: list[EstimatedParameter] = []
-    stddev: list[float] = []
-
-    def add(of: str, quantity: str, unit: str, stated: float, prior: float, scale: float = 1.0) -> int:
-        prior = max(prior, _EXACT)
-        found.append(EstimatedParameter(of, quantity, unit, stated, prior * scale, stated, prior * scale))
-        stddev.append(prior)
-        return len(stddev) - 1
-
+    found: list[PriorParameter] = []
     for k, camera in cameras.items():
-        name, prior = used[k], rig.cameras()[used[k]].uncertainty
-        (fx, fy), center = camera.focal.tolist(), camera.principal_point.tolist()
-        mean = (fx + fy) / 2
-        first = add(name, "focal length", "px", mean, prior.focal_length, mean)
-        add(name, "pixel aspect", "", fx / fy, prior.pixel_aspect, fx / fy)
-        for quantity, stated in zip(("cx", "cy"), center, strict=True):
-            add(name, quantity, "px", stated, prior.principal_point)
-        effect = np.maximum(displacement_at_corner(camera), _EXACT)
-        names = DISTORTION_NAMES[camera.model]
-        for quantity, stated, pixels in zip(names, camera.distortion.tolist(), effect.tolist(), strict=False):
-            add(name, quantity, "", stated, prior.distortion / pixels)
-        readout[k] = add(name, "readout time", "s", 0.0, prior.readout_time)
-        lens[k] = slice(first, readout[k])
+        prior, first = rig.cameras()[used[k]].uncertainty, len(found)
+        found += list_lens_errors(used[k], camera, prior)
+        lens[k], readout[k] = slice(first, len(found)), len(found)
+        found.append(readout_error(used[k], prior))
     boards = rig.boards if cameras else ()
+    priors = [board.uncertainty for board in boards]
     prints = np.zeros((len(boards), PRINT_ERRORS), dtype=np.intp)
     if boards:
         of = "boards" if len(boards) > 1 else "board"
-        prints[:, 0] = add(of, "print scale", "", 1.0, max(board.uncertainty.print_scale for board in boards))
-        prints[:, 1] = add(of, "print aspect", "", 1.0, max(board.uncertainty.print_aspect for board in boards))
-    for b, board in enumerate(boards):
+        prints[:, :2] = len(found) + np.arange(2)
+        found.append(PriorParameter(of, "print scale", "", max(one.print_scale for one in priors), stated=1.0))
+        found.append(PriorParameter(of, "print aspect", "", max(one.print_aspect for one in priors), stated=1.0))
+    for b, prior_of_board in enumerate(priors):
         of = f"board {b + 1}" if len(boards) > 1 else "board"
-        prints[b, 2:] = [add(of, f"bow {axis}", "m", 0.0, board.uncertainty.bow) for axis in "xy"]
+        prints[b, 2:] = len(found) + np.arange(2)
+        found += [PriorParameter(of, f"bow {axis}", "m", prior_of_board.bow) for axis in "xy"]
     half_sizes = np.array([board.size for board in boards]).reshape(-1, 2) / 2
-    return SharedErrors(cameras, lens, readout, prints, half_sizes), tuple(found), np.array(stddev)
-
-
-def state_estimates(
-    errors: Sequence[EstimatedParameter], prior: Array, value: Array, stddev: Array
-) -> tuple[EstimatedParameter, ...]:
-    """The errors of :func:`describe_errors` with values (G,) and standard deviations (G,) from the solution."""
-    return tuple(
-        replace(one, value=one.stated + one.prior / p * v, stddev=one.prior / p * s)
-        for one, p, v, s in zip(errors, prior.tolist(), value.tolist(), stddev.tolist(), strict=True)
-    )
+    found = [replace(one, prior_stddev=max(one.prior_stddev, _EXACT)) for one in found]
+    stddev = np.array([one.prior_stddev for one in found])
+    return SharedErrors(cameras, lens, readout, prints, half_sizes), tuple(found), stddev
 
 
 def measure_boards(
@@ -133,22 +111,16 @@ def chain_boards(sources: Mapping[int, CameraSource], states: Mapping[int, Senso
     if not tracks:
         return None
     first = max(tracks, key=lambda b: len(tracks[b].times))
-    T_world_board = {first: np.eye(4)}
     pairs = {(a, b): _compare(tracks[a], tracks[b]) for a in tracks for b in tracks if a < b}
-    while True:
-        links = [
-            (len(found), a, b)
-            for (a, b), found in pairs.items()
-            if (a in T_world_board) != (b in T_world_board) and len(found) >= _MIN_VIEWS
-        ]
-        if not links:
-            break
-        _, a, b = max(links)
+    ranked = sorted((len(found), *pair) for pair, found in pairs.items() if len(found) >= _MIN_VIEWS)[::-1]
+    edges = [(a, b) for _, a, b in ranked]
+    T_world_board = {first: np.eye(4)}
+    for step in walk_tree(max(tracks) + 1, edges, [first]):
+        a, b = edges[step.edge]
         T_a_b = _average(pairs[a, b])
-        if a in T_world_board:
-            T_world_board[b] = T_world_board[a] @ T_a_b
-        else:
-            T_world_board[a] = T_world_board[b] @ se3.inverse(T_a_b)
+        T_world_board[step.child] = T_world_board[step.parent] @ (
+            T_a_b if step.parent == a else se3.inverse(T_a_b)
+        )
     return _merge([
         (time, T_world_board[b] @ T)
         for b in T_world_board

@@ -11,7 +11,7 @@ from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive, describe_sensor_errors, measure_views
 from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
-from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
+from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards
 from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
@@ -241,7 +241,8 @@ def _adjust(
             "the joint adjustment has no solution: start values are wrong, as odometry failed; drive slower, "
             "where walls and furniture are near"
         ) from error
-    return adjusted, state_estimates(described, shared, adjusted.shared, adjusted.shared_stddev)
+    values = zip(described, adjusted.shared.tolist(), adjusted.shared_stddev.tolist(), strict=True)
+    return adjusted, tuple(one.estimate(value, stddev) for one, value, stddev in values)
 
 
 def _list_poses(adjusted: Adjustment) -> tuple[list[Array], list[Array]]:

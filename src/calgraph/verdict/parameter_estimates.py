@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.geometry import Array, Index
+from calgraph.result.estimated_parameter import EstimatedParameter
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,29 @@ class DescribedParameter:
     """``m``, ``px``, ``rad``, ``s``, or nothing for ratios."""
     clause: str = field(default="", kw_only=True)
     """What a deviation means, with the words for a positive and for a negative one; by default as below."""
+
+
+@dataclass(frozen=True)
+class PriorParameter(DescribedParameter):
+    """A parameter with its prior: its value is the stated one plus ``scale`` times that of a solution.
+
+    The prior mean and the start value of the solution's are 0.
+    """
+
+    prior_stddev: float
+    """Of the solution's value."""
+    stated: float = field(default=0.0, kw_only=True)
+    """In ``unit``."""
+    scale: float = field(default=1.0, kw_only=True)
+    """``unit`` over that of the solution."""
+
+    def estimate(self, value: float, stddev: float) -> EstimatedParameter:
+        """What is reported of a value of the solution and its standard deviation."""
+        size = abs(self.scale)
+        return EstimatedParameter(
+            self.of, self.quantity, self.unit, self.stated, self.prior_stddev * size,
+            self.stated + self.scale * value, stddev * size,
+        )  # fmt: skip
 
 
 def describe_deviation(parameter: DescribedParameter, deviation: float, of: str = "") -> str:

@@ -48,7 +48,7 @@ _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones of these.
 _MIN_SCALE, _MIN_BODY_VIEW, _MIN_WHITE, _MIN_VIEW = 0.2, 0.003, 0.002, 0.0005
-# By how much the scatter of clusters is multiplied: errors of bodies and floors are the same in several of them. In
+# By how much the scatter of clusters is multiplied: errors of bodies and floors are the same in several. In
 # 11 simulated halls the mean squared error over the covariance is 1.6 with 1, and 0.5 with 4.
 _SCATTER_FACTOR = 2.0
 # Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
-from calgraph.verdict.parameter_estimates import DescribedParameter
+from calgraph.verdict.parameter_estimates import PriorParameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,20 +23,11 @@ class SensorPrior:
 
 
 @dataclass(frozen=True)
-class SystematicParameter(DescribedParameter):
-    """An error of a sensor or of the target that all captures share, estimated besides the poses.
+class SystematicParameter(PriorParameter):
+    """An error of a sensor or of the target that all captures share, estimated besides the poses."""
 
-    Its value is the stated one plus ``scale`` times the bundle's, whose prior mean and start value are 0.
-    """
-
-    prior_stddev: float
-    """Of the bundle's value."""
     view_sets: tuple[int, ...] = ()
     """Indices in :attr:`Bundle.all_views` of the views that depend on it."""
-    stated: float = 0.0
-    """In ``unit``."""
-    scale: float = 1.0
-    """``unit`` over that of the bundle."""
     family: str = ""
     """``rings``, ``tags``, ``distortion`` or ``residual distortion``: what it is one of, if there are several."""
 

@@ -21,9 +21,10 @@ from calgraph.rig.bundle.observations import BoardViews, view_indices
 from calgraph.rig.bundle.outline_observations import FOOTPRINTS, OutlineObservations
 from calgraph.rig.bundle.range_observations import RangeObservations, bow_shape
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
-from calgraph.sensors import DISTORTION_NAMES, CameraModel
+from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds.stated import BeamError, RangeUncertainty
-from calgraph.sensors.lens_errors import ESTIMATED_COEFFICIENTS, displacement_at_corner, with_estimated_distortion
+from calgraph.sensors.lens_errors import ESTIMATED_COEFFICIENTS, with_estimated_distortion
+from calgraph.verdict.lens_parameters import list_lens_errors, readout_error
 
 DISTORTION, RESIDUAL_DISTORTION, RINGS, TAGS = "distortion", "residual distortion", "rings", "tags"
 """Families of parameters, see :class:`SystematicParameter`."""
@@ -154,15 +155,7 @@ def summarize_systematic_parameters(
     """The systematic parameters with their priors and posterior standard deviations."""
     variances = np.diag(equations.covariance)[6 * bundle.body_count :]
     return tuple(
-        EstimatedParameter(
-            of=one.of,
-            quantity=one.quantity,
-            unit=one.unit,
-            stated=one.stated,
-            prior=one.prior_stddev * abs(one.scale),
-            value=one.stated + one.scale * float(value),
-            stddev=float(np.sqrt(variance)) * abs(one.scale),
-        )
+        one.estimate(float(value), float(np.sqrt(variance)))
         for one, value, variance in zip(bundle.extra_parameters, state.extra, variances, strict=True)
         if one.family != RESIDUAL_DISTORTION
     )
@@ -192,8 +185,9 @@ def _add_to_camera(
     behind = np.unique(corner_number[views.printed.on_back])
     prints = [replace(one, on_back=b in behind) for b, one in enumerate(prints)]
     most_tags = max((len(one.placed_tags) or one.on_back for one in prints), default=0)
+    readout = SystematicParameter(**vars(readout_error(name, spec.uncertainty)))
     # A board at rest is the same at all times.
-    of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if len(views.twist) else []
+    of_times = [_stamp_delay(k, name, spec), readout] if len(views.twist) else []
     # Of lenses whose intrinsics were estimated; others, and those like their models, have none.
     size = spec.stated_intrinsics.model_error if spec.stated_intrinsics else None
     field = ResidualDistortion.over_images(camera) if size else None
@@ -224,32 +218,10 @@ def _stamp_delay(k: int, name: str, spec: SensorSpec) -> SystematicParameter | N
     return delay if k else None
 
 
-def _readout_time(name: str, spec: CameraSpec) -> SystematicParameter:
-    clause = "{of} reads the last row of an image {size} later|earlier than stated"
-    return SystematicParameter(name, "readout time", "s", spec.uncertainty.readout_time, clause=clause)
-
-
 def _lens_parameters(name: str, camera: CameraModel, spec: CameraSpec) -> Iterator[SystematicParameter | None]:
-    prior = spec.uncertainty
-    fx, fy = camera.focal.tolist()
-    mean = (fx + fy) / 2
-    yield SystematicParameter(
-        name, "focal length", "px", prior.focal_length, stated=mean, scale=mean,
-        clause="the focal length of {of} is {size} longer|shorter than stated",
-    )  # fmt: skip
-    yield SystematicParameter(
-        name, "pixel aspect", "", prior.pixel_aspect, stated=fx / fy, scale=fx / fy,
-        clause="pixels of {of} are {size} narrower|wider for their height than stated",
-    )  # fmt: skip
-    for quantity, stated in zip(("cx", "cy"), camera.principal_point.tolist(), strict=True):
-        yield SystematicParameter(name, quantity, "px", prior.principal_point, stated=stated)
-    effect = displacement_at_corner(camera)
-    estimated = ESTIMATED_COEFFICIENTS[camera.model]
-    for i, (quantity, stated) in enumerate(zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=False)):
-        coefficient = SystematicParameter(
-            name, quantity, "", prior.distortion / effect[i], stated=stated, family=DISTORTION
-        )
-        yield coefficient if i < estimated else None
+    estimated = 4 + ESTIMATED_COEFFICIENTS[camera.model]
+    for i, one in enumerate(list_lens_errors(name, camera, spec.uncertainty)):
+        yield SystematicParameter(**vars(one), family=DISTORTION if i >= 4 else "") if i < estimated else None
 
 
 # Usual thickness of a board with a print on either side, m: panels are 2 to 6 mm thick, films less.
