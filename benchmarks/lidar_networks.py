@@ -3,38 +3,28 @@
 python benchmarks/lidar_networks.py --seeds 0 12 --jobs 2 --csv halls.csv        # resumed from the file
 python benchmarks/lidar_networks.py --rigs 16_rings mixed --duration 30          # other sensors, shorter
 python benchmarks/lidar_networks.py --kinds wrong --seeds 0 13 --verbose         # a line for each sensor
-python benchmarks/lidar_networks.py --start                                      # start poses only
 
 Kinds are those of lidar_network_kinds.py, simulated in memory with bodies and rooms that the estimator does not
 know. A row is one sensor besides the root, as in drives.py, which states what is *confidently wrong*. Poses are
 compared with those at the end, where a sensor was bumped, and with those in the middle, where one swings. The
 scale is that of the positions of all sensors about their mean, over the true ones; the table has mean and spread
 over networks, per mille. A network is connected if all of its sensors have poses.
-
-Start poses are those of tracks in levelled planes, and have no covariance.
 """
 
 import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from calgraph.config import Lidar3dSpec, Rig, Tolerance
-from calgraph.errors import CalgraphError, Rejected
-from calgraph.geometry import Array, se3
+from calgraph.config import Tolerance
+from calgraph.errors import CalgraphError
+from calgraph.geometry import Array
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
-from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.observe import observe_clouds
-from calgraph.network.space.start import start_in_space
-from calgraph.parallel.progress import no_progress
-from calgraph.recording import Recording
-from calgraph.sensors import PointCloud
-from calgraph.simulation import SimulatedHall, simulate_hall
+from calgraph.simulation import simulate_hall
 from drives import Outcome, Truth, judge, read_peak, reset_peak, show_each
 from lidar_network_kinds import KINDS, RIGS, WRONG, build_hall_scenario
 from worlds import NAN, Layout, finite, grouped, make_parser, mean, median, run_worlds, share, worst
@@ -55,15 +45,6 @@ class NetworkOutcome(Outcome):
     """Of the network over the true one, less 1."""
 
 
-class Setup(NamedTuple):
-    """What all runs share."""
-
-    tolerance: tuple[float, ...]
-    """m, degrees."""
-    start: bool
-    """Whether start poses are measured, and not results."""
-
-
 def main() -> None:
     """Prints a table by kind and rig, what is confidently wrong, and all reasons."""
     parser = make_parser(__doc__, jobs=2)
@@ -72,13 +53,11 @@ def main() -> None:
     parser.add_argument("--seeds", nargs=2, type=int, default=[0, 8], help="first, and one past the last")
     parser.add_argument("--duration", type=float, default=60.0, help="s")
     parser.add_argument("--tolerance", nargs=2, type=float, default=[0.02, 0.3], help="m, degrees")
-    parser.add_argument("--start", action="store_true", help="start poses only")
     parser.add_argument("--verbose", action="store_true", help="a line for each sensor")
     arguments = parser.parse_args()
     kinds = dict.fromkeys(one for kind in arguments.kinds for one in (WRONG if kind == "wrong" else [kind]))
-    setup = Setup(tuple(arguments.tolerance), arguments.start)
     work = [
-        (kind, rig, seed, arguments.duration, setup)
+        (kind, rig, seed, arguments.duration, tuple(arguments.tolerance))
         for kind in kinds
         for rig in arguments.rigs
         for seed in range(*arguments.seeds)
@@ -90,74 +69,27 @@ def main() -> None:
     show(outcomes)
 
 
-def run(kind: str, rig: str, seed: int, duration: float, setup: Setup) -> list[NetworkOutcome]:
+def run(kind: str, rig: str, seed: int, duration: float, tolerance: tuple[float, ...]) -> list[NetworkOutcome]:
     """Simulates and calibrates one network."""
     began = time.process_time()
     hall = simulate_hall(build_hall_scenario(kind, seed, rig, duration))
-    metres, degrees = setup.tolerance
+    metres, degrees = tolerance
     stated = hall.rig.model_copy(update={"tolerance": Tolerance(translation=metres, rotation=degrees)})
     truth = Truth(hall.truth.T_root_sensor, hall.truth.clock_offsets)
     first = NetworkOutcome(kind, rig, seed, duration, "", simulated_seconds=time.process_time() - began)
     reset_peak()
     began = time.process_time()
     try:
-        if setup.start:
-            rows, poses = measure_start(stated, hall, first, seed)
-        else:
-            found = calibrate_network(stated, hall.recording, NetworkOptions(seed=seed))
-            poses = {one.name: one.T_root_sensor for one in found.sensors}
-            rows = [
-                judge(replace(first, sensor=name), found, truth) for name in stated.sensors if name != found.root
-            ]
+        found = calibrate_network(stated, hall.recording, NetworkOptions(seed=seed))
     except ERRORS as error:
         text = f"{type(error).__name__}: {error}"
         seconds = time.process_time() - began
         return [replace(first, crashed=not isinstance(error, CalgraphError), seconds=seconds, text=text)]
+    poses = {one.name: one.T_root_sensor for one in found.sensors}
+    rows = [judge(replace(first, sensor=name), found, truth) for name in stated.sensors if name != found.root]
     scale = measure_scale(poses, truth.T_root_sensor)
     seconds, peak = time.process_time() - began, read_peak()
     return [replace(row, seconds=seconds, gigabytes=peak, scale=scale) for row in rows]
-
-
-def measure_start(
-    rig: Rig, hall: SimulatedHall, first: NetworkOutcome, seed: int
-) -> tuple[list[NetworkOutcome], dict[str, Array]]:
-    """Errors of the start poses of all LiDARs besides the root, and the poses themselves."""
-    rng = np.random.default_rng(seed)
-    observed = {
-        name: observe(rig, hall.recording, name, rng)
-        for name, spec in rig.sensors.items()
-        if isinstance(spec, Lidar3dSpec)
-    }
-    usable = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
-    starts = start_in_space(rig, usable, NetworkOptions(seed=seed), rng, no_progress) if rig.root in usable else {}
-    rows, poses = [], {}
-    for name, one in observed.items():
-        start = starts.get(name, one)
-        if isinstance(start, tuple):
-            poses[name], clock = start
-            error = se3.difference(poses[name], hall.truth.T_root_sensor[name])
-            row = replace(
-                first,
-                sensor=name,
-                grade="weak",
-                millimetres=1000 * float(np.linalg.norm(error[:3])),
-                degrees=float(np.degrees(np.linalg.norm(error[3:]))),
-                clock_milliseconds=1000 * (clock - hall.truth.clock_offsets[name]),
-            )
-        else:
-            row = replace(first, sensor=name, text=start.reason if isinstance(start, Rejected) else "no root")
-        rows += [row] if name != rig.root else []
-    return rows, poses
-
-
-def observe(rig: Rig, recording: Recording, name: str, rng: np.random.Generator) -> SpaceObservations | Rejected:
-    """What one LiDAR measured."""
-    spec = rig.sensors[name]
-    assert isinstance(spec, Lidar3dSpec)
-    messages = (record.decode() for record in recording.records([spec.topic]))
-    return observe_clouds(
-        (one for one in messages if isinstance(one, PointCloud)), spec, rig.settings.tracking, rng
-    )
 
 
 def measure_scale(poses: Mapping[str, Array], true: Mapping[str, Array]) -> float:

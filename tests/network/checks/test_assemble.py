@@ -10,7 +10,7 @@ from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.network.checks.assemble import _build_edge, _describe_bodies, _explain_unconnected, assemble_network
+from calgraph.network.checks.assemble import _describe_bodies, assemble_network, build_edge, explain_unconnected
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.estimate import NetworkSolution
@@ -149,7 +149,7 @@ def test_an_unconnected_scanner_has_the_reasons_of_its_pairs() -> None:
 
 def test_scanners_without_a_pose_have_the_reason_of_a_root_without_tracks() -> None:
     followed: dict[str, ScannerTracks | Rejected] = {"west": Rejected("it moves"), "east": build_tracks(1)}
-    assert _explain_unconnected("east", "west", followed, {}) == "the root west is not calibrated: it moves"
+    assert explain_unconnected("east", "west", followed, {}) == "the root west is not calibrated: it moves"
 
 
 def test_initial_poses_are_those_of_averaging_where_a_joint_solution_follows() -> None:
@@ -171,13 +171,13 @@ def test_an_outlier_pair_states_the_expected_positions_of_its_first_hypothesis()
     pair = build_pair(0)
     second = replace(pair.hypotheses[0], observations=20)
     several = replace(pair, hypotheses=(*pair.hypotheses, second))
-    assert _build_edge(("west", "east"), several, {}, {}).captures == 60
+    assert build_edge(("west", "east"), several, {}, {}).captures == 60
 
 
 def test_the_distance_of_an_edge_is_that_of_its_nearest_hypothesis() -> None:
     far, near = build_pair(0, 0.5), build_pair(0, -0.02)
     several = replace(far, hypotheses=(*far.hypotheses, replace(near.hypotheses[0], observations=20)))
-    found = _build_edge(("west", "east"), several, {("west", "east"): (T_ROOT[0], T_ROOT[1])}, {"east": "west"})
+    found = build_edge(("west", "east"), several, {("west", "east"): (T_ROOT[0], T_ROOT[1])}, {"east": "west"})
     assert (found.captures, found.inliers, found.in_tree) == (40, 20, True)
     np.testing.assert_allclose(found.residuals, [0.02])
 
@@ -219,6 +219,6 @@ def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> N
     pairs: ScannerPairs = {(f"s{k}", "cellar"): Rejected(f"only {0.5 * k} s") for k in range(20)}
     pairs = {**pairs, ("west", "cellar"): Rejected("by chance")}
     tracked = dict.fromkeys(("cellar", "west"), build_tracks(0))
-    assert _explain_unconnected("cellar", "west", tracked, pairs) == (
+    assert explain_unconnected("cellar", "west", tracked, pairs) == (
         "has 1 track, but west: by chance; s0, s1, s2, s3, s4, s5, s6, s7 and 12 others: only 0.0 s"
     )
