@@ -29,7 +29,7 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
         A @ A.T,
         A @ A.T,
         free,
-        NoiseModel(0.01 * np.arange(3), np.zeros(2)),
+        NoiseModel(np.array([0.0, 0.01, 0.02]), np.zeros(2)),
         np.eye(3),
         np.arange(3.0),
         0.0,
