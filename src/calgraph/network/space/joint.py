@@ -32,7 +32,7 @@ from calgraph.network.space.static_surfaces import (
 )
 from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
 from calgraph.surfaces.map_agreement import measure_agreement
-from calgraph.surfaces.sensor_states import SensorState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
 from calgraph.verdict.state_changes import PERIOD, Change, find_changes
 
@@ -92,6 +92,8 @@ class SpaceSolution:
     """(S, 12) which states are estimated."""
     covariance: Array
     """(P, P) of these."""
+    with_ranges: Array
+    """(P, P) that it would be if the ranges of all sensors had no errors but noise."""
     persons: Sequence[BodySamples]
     """The measurements of each person whom several sensors measured."""
     people: PeopleEquations
@@ -160,19 +162,33 @@ def solve_space(
         sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
         sum_clusters(along, _label_rings(shared)),
     ]
-    covariance = widen_by_clusters(np.asarray(np.linalg.inv(H), dtype=np.float64), clusters, _SCATTER_FACTOR)
+    inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    covariance = widen_by_clusters(inverse, clusters, _SCATTER_FACTOR)[:count, :count]
     world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
     left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
     equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
     places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
     return SpaceSolution(
-        states, free, covariance[:count, :count], persons, people, shared, noise, body_noise, body,
+        states, free, covariance, _condition_on_ranges(covariance, free),
+        persons, people, shared, noise, body_noise, body,
         agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
         contradiction=_compare_people(people, H, free),
         changes=find_changes(equations, free, ends, places - places[0]),
         begin=float(ends[0] - PERIOD),
         squared_step=float(step @ H @ step),
     )  # fmt: skip
+
+
+def _condition_on_ranges(covariance: Array, free: NDArray[np.bool_]) -> Array:
+    """The covariance (P, P) of free states for known range biases and scales."""
+    column = np.nonzero(free)[1]
+    ranges = np.flatnonzero(
+        (column == free.shape[1] - BESIDE_POSE + 1) | (column == free.shape[1] - BESIDE_POSE + 2)
+    )
+    if not len(ranges):
+        return covariance
+    cross = covariance[:, ranges]
+    return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(ranges, ranges)], cross.T))
 
 
 def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
