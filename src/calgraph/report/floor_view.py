@@ -60,12 +60,15 @@ def place_on_plan(calibration: Calibration) -> Calibration:
     T = calibration.pictures.T_plan_root
     if np.array_equal(T, np.eye(4)):
         return calibration
-    turn = np.kron(np.eye(2 * len(calibration.sensors)), T[:3, :3])
+    joint = calibration.joint_covariance.reshape(2 * len(calibration.sensors), 3, -1, 3)
     initial = {name: T @ before for name, before in calibration.evidence.initial_poses.items()}
     return replace(
         calibration,
         sensors=tuple(replace(s, T_root_sensor=T @ s.T_root_sensor) for s in calibration.sensors),
-        joint_covariance=turn @ calibration.joint_covariance @ turn.T,
+        # By blocks: unknown correlations do not make others unknown.
+        joint_covariance=np.einsum("ij,ajbk,lk->aibl", T[:3, :3], joint, T[:3, :3]).reshape(
+            calibration.joint_covariance.shape
+        ),
         evidence=replace(calibration.evidence, initial_poses=initial),
     )
 

@@ -146,7 +146,8 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
     layout = {
         "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
-        "scene": _make_scene(calibration, size),
+        # A hall is viewed from above and from near, as it is larger than the frames in it.
+        "scene": _make_scene(calibration, size, (0.75, -0.75, 0.8) if rig.is_network else (1.25, -1.25, 0.7)),
     }
     labels = ("the LiDARs", "with walls and walks") if rig.is_network else ("the rig", "with the boards")
     view = _view_buttons(calibration, size, (len(of_rig), len(around)), labels)
@@ -267,14 +268,14 @@ def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visi
     }  # fmt: skip
 
 
-def _make_scene(calibration: Calibration, size: float) -> dict[str, Any]:
+def _make_scene(calibration: Calibration, size: float, eye: tuple[float, float, float]) -> dict[str, Any]:
     ranges = _axis_ranges(calibration, size)
     named = {f"{n}axis": {**SCENE_AXIS, "title": {"text": f"{n}, m"}, "range": r}
              for n, r in zip("xyz", ranges, strict=True)}  # fmt: skip
     return {
         **named,
         "aspectmode": "cube",
-        "camera": {"eye": {"x": 1.25, "y": -1.25, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}},
+        "camera": {"eye": dict(zip("xyz", eye, strict=True)), "center": {"x": 0, "y": 0, "z": -0.12}},
     }
 
 
