@@ -9,8 +9,7 @@ from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.live.live_rig import prepare_live_rig
 from calgraph.network.options import NetworkOptions
-from calgraph.network.pipeline import calibrate_network
-from calgraph.recording import MessageRecording
+from calgraph.network.space.pipeline import check_space
 from calgraph.result import Calibration
 
 
@@ -43,7 +42,7 @@ def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
 )
 def test_what_is_of_planar_networks_is_refused(rig: Rig, options: NetworkOptions, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        calibrate_network(rig, MessageRecording({}), options)
+        check_space(rig, options)
 
 
 def test_live_sessions_are_refused() -> None:

@@ -46,8 +46,8 @@ def check_space(rig: Rig, options: NetworkOptions) -> None:
         raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
     if options.extend is not None:
         raise InputError(
-            "`extend`: is of networks of 2-D scanners as yet; calibrate a network of 3-D LiDARs from a recording of "
-            "all of them"
+            "`extend`: is of networks of 2-D scanners as yet; give a recording of all 3-D LiDARs of the network, "
+            "without it"
         )
     estimator = options.select_method(rig.settings.published).estimator
     if estimator != "joint":
