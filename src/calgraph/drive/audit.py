@@ -7,7 +7,7 @@ from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.verdict.comparison import ExtrinsicsComparison
-from calgraph.verdict.doubted_poses import compare_with_doubts
+from calgraph.verdict.contradicted_poses import compare_with_contradictions
 
 
 def compare_drive_extrinsics(
@@ -20,4 +20,4 @@ def compare_drive_extrinsics(
             :func:`calgraph.drive.pipeline.calibrate_drive`.
     """
     calibration = calibrate_drive(rig, recording, options, progress)
-    return calibration, compare_with_doubts(rig, calibration, given, "motions")
+    return calibration, compare_with_contradictions(rig, calibration, given, "motions")

@@ -39,7 +39,7 @@ from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.verdict.comparison import ExtrinsicsComparison
-from calgraph.verdict.doubted_poses import compare_with_doubts
+from calgraph.verdict.contradicted_poses import compare_with_contradictions
 from calgraph.verdict.grades import max_good_stddev
 from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 
@@ -135,7 +135,7 @@ def compare_network_extrinsics(
     """Comparison of the given poses of a network with its calibration, by its tolerance."""
     calibration = calibrate_network(rig, recording, options, progress)
     if has_lidars(rig):
-        return calibration, compare_with_doubts(rig, calibration, given, "walks and surfaces")
+        return calibration, compare_with_contradictions(rig, calibration, given, "walks and surfaces")
     return calibration, compare_network_poses(calibration, given, rig.tolerance, settings=rig.settings.diagnostics)
 
 

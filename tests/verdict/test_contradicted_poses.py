@@ -10,7 +10,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
 from calgraph.verdict.comparison import ExtrinsicsComparison
-from calgraph.verdict.doubted_poses import compare_with_doubts
+from calgraph.verdict.contradicted_poses import compare_with_contradictions
 
 POSES = {
     "front": np.eye(4),
@@ -52,7 +52,7 @@ BUMP = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def compare(calibration: Calibration, file: ExtrinsicsFile) -> ExtrinsicsComparison:
-    return compare_with_doubts(rig_of(), calibration, file, "motions")
+    return compare_with_contradictions(rig_of(), calibration, file, "motions")
 
 
 @pytest.mark.parametrize("moved", POSES)
@@ -68,8 +68,8 @@ def test_sensors_in_place_pass() -> None:
 
 
 def test_a_pose_that_is_contradicted_fails_nothing() -> None:
-    doubted = calibrated(0.001, "the joint adjustment has not converged")
-    found = compare(doubted, given("left", BUMP))
+    contradicted = calibrated(0.001, "the joint adjustment has not converged")
+    found = compare(contradicted, given("left", BUMP))
     left = next(one for one in found.sensors if one.sensor == "left")
     assert found.outcome == left.outcome == "warn"
     assert "-19.9 mm (σ 1.0 mm), beyond 5.0 mm" in left.reason

@@ -9,7 +9,7 @@ from calgraph.verdict.comparison import ExtrinsicsComparison, SensorComparison, 
 from calgraph.verdict.grades import grade_pose
 
 
-def compare_with_doubts(
+def compare_with_contradictions(
     rig: Rig, calibration: Calibration, given: ExtrinsicsFile, data: str
 ) -> ExtrinsicsComparison:
     """The comparison by the rig's tolerance; poses that something contradicts fail no given ones.
