@@ -33,7 +33,7 @@ def solution() -> Adjustment:
     return Adjustment(
         [SensorState(np.eye(4)), SensorState(T_front_rear)], [], P, P, free,
         NoiseModel(np.full(2, 0.02), np.zeros(2)),
-        20.0 * (1 - np.eye(2)), np.full(2, 0.02), np.full(2, 1e5), 0.01,
+        20.0 * (1 - np.eye(2)), np.full(2, 1e5), 0.01,
     )  # fmt: skip
 
 
@@ -78,7 +78,7 @@ def test_maps_agree_with_that_of_the_root_by_chains(agreeing: list[tuple[int, in
     P = 1e-6 * np.eye(int(free.sum()))
     three = replace(
         two, states=[*two.states, two.states[1]], covariance=P, independent_covariance=P, free=free,
-        agreement=agreement, residual_rms=np.full(3, 0.02), point_counts=np.full(3, 1e5),
+        agreement=agreement, noise=NoiseModel(np.full(3, 0.02), np.zeros(2)), point_counts=np.full(3, 1e5),
     )  # fmt: skip
     views = dict.fromkeys(names, np.zeros((0, 2)))
     found = assemble_drive(rig, DriveResult(names, {}, {"rear": START, "right": START}, three, [], views))

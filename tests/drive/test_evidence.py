@@ -58,7 +58,7 @@ def adjust(parts: list[DrivePart], states: list[SensorState]) -> Adjustment:
     empty, associations = np.zeros((0, 0)), [associate_points(part, states, 0.09) for part in parts]
     noise, free = NoiseModel(np.zeros(2), np.zeros(2)), np.zeros((2, 9), dtype=bool)
     return Adjustment(
-        states, parts, empty, empty, free, noise, empty, empty, empty, 0.0, associations=associations
+        states, parts, empty, empty, free, noise, empty, empty, 0.0, associations=associations
     )  # fmt: skip
 
 

@@ -23,16 +23,14 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
     free = np.ones((3, p + BESIDE_POSE), dtype=bool)
     free[0, : p + 1] = free[2, p + 1 :] = False
     A = rng.normal(size=(int(free.sum()),) * 2) * 1e-4
-    empty = np.zeros(3)
     adjusted = Adjustment(
         states,
         [],
         A @ A.T,
         A @ A.T,
         free,
-        NoiseModel(empty, np.zeros(2)),
+        NoiseModel(np.array([0.0, 0.01, 0.02]), np.zeros(2)),
         np.eye(3),
-        np.arange(3.0),
         np.arange(3.0),
         0.0,
     )
@@ -41,6 +39,7 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
     assert_allclose(changed.states[1].T_root_sensor, se_n.inverse(states[2].T_root_sensor), atol=1e-12)
     assert changed.states[2].clock_offset == pytest.approx(0.3)
     assert changed.point_counts.tolist() == [2, 0, 1]
+    assert changed.noise.white.tolist() == [0.02, 0.0, 0.01]
     assert not changed.free[0, : p + 1].any()
     errors = []
     for sample in rng.normal(size=(4000, len(A))):

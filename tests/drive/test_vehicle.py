@@ -179,7 +179,7 @@ def adjusted_drive(poses: Array, points: Array) -> Adjustment:
     return Adjustment(
         [SensorState(np.eye(n + 1))], [part], np.diag([1e-6, 1e-8]), np.diag([1e-6, 1e-8]),
         free, NoiseModel(np.full(1, 0.01), np.full(2, 0.005)),
-        np.zeros((1, 1)), np.zeros(1), np.zeros(1), 0.0,
+        np.zeros((1, 1)), np.zeros(1), 0.0,
         responses=[np.zeros((trajectory.control.size, 2))],
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ from calgraph.geometry import Array
 from calgraph.solver.change_tests import PeriodEquations, search_changes
 
 PERIODS = 12
-STEPS: list[Array] = [(np.arange(PERIODS) >= k) * 1.0 for k in range(2, PERIODS - 2)]
+STEPS: list[Array] = [np.asarray(np.arange(PERIODS) >= k, dtype=np.float64) for k in range(2, PERIODS - 2)]
 
 
 def equations_of(values: Array) -> PeriodEquations:

@@ -58,10 +58,9 @@ class Adjustment:
     free: NDArray[np.bool_]
     """(S, n + d + 6): which these are."""
     noise: NoiseModel
+    """Of the points on surfaces."""
     agreement: Array
     """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
-    residual_rms: Array
-    """(S,) m, of the points on surfaces."""
     point_counts: Array
     """(S,) number of these."""
     squared_step: float
@@ -83,10 +82,6 @@ _GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 8)
 # Iteration from which noise of measurements is estimated again in each, with variances of the trajectory: start
 # values have converged.
 _REWEIGHTED = 4
-# Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
-_START_WHITE, _START_VIEW = 0.02, 0.01
-# Least ones: quantised ranges, and walls that are better than any.
-_MIN_WHITE, _MIN_VIEW = 0.002, 0.0005
 # Last steps, on surfaces and points that stay the same: the squared step falls below 0.1 on real scans.
 _FIXED_STEPS = 6
 # Accelerations of a robot's motion, m/s² and rad/s², which bind the spline where nothing is measured.
@@ -112,7 +107,7 @@ def adjust_drive(
     """
     free = priors.stddev > 0
     start = states
-    noise = NoiseModel(np.full(len(states), _START_WHITE), np.full(2, _START_VIEW))
+    noise = NoiseModel.at_start(len(states))
     parts = list(parts)
     reduced: list[_Reduced] = []
     count, shared = int(free.sum()), np.zeros(len(priors.shared))
@@ -140,7 +135,7 @@ def adjust_drive(
         if k >= _REWEIGHTED:
             # After the step: residuals and variances of different weights lead to a cycle of noise that grows.
             parts = [_reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)]
-        noise = _estimate_noise(reduced, noise)
+        noise = noise.estimated_again([one.surfaces for one in reduced])
         progress((k + 1) / len(_GATES))
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
     equations, ends = _release_periods(parts, states, noise, associations, priors, start, shared)
@@ -149,7 +144,6 @@ def adjust_drive(
     return Adjustment(
         states, parts, widened[:count, :count], covariance[:count, :count], free, noise,
         agreement=measure_agreement([locate_points(part, states) for part in parts]),
-        residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),
         associations=associations,
@@ -384,13 +378,3 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: in
         g[size] -= change
     middle = K // 2 * columns + np.arange(columns)
     H[middle, middle] += _GAUGE**-2.0
-
-
-def _estimate_noise(reduced: Sequence[_Reduced], noise: NoiseModel) -> NoiseModel:
-    """Standard deviations from the residuals of all parts."""
-    white = np.array([one.surfaces.white for one in reduced])
-    counts = white[:, :, 1].sum(axis=0)
-    mean = np.sum(white[:, :, 0] * white[:, :, 1], axis=0) / np.maximum(counts, 1)
-    squares, number = np.moveaxis(np.sum([one.surfaces.view for one in reduced], axis=0), -1, 0)
-    view = np.where(number > 0, np.sqrt(squares / np.maximum(number, 1)), noise.view)
-    return NoiseModel(np.maximum(np.where(counts > 0, mean, noise.white), _MIN_WHITE), np.maximum(view, _MIN_VIEW))

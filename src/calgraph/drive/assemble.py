@@ -207,7 +207,7 @@ def _describe_fit(names: Sequence[str], adjusted: Adjustment, views: Mapping[str
         if corners:
             found[name] = FitError(int(corners), "px", float(np.sqrt(squares / (2 * corners))))
         elif adjusted.point_counts[k]:
-            found[name] = FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
+            found[name] = FitError(int(adjusted.point_counts[k]), "m", float(adjusted.noise.white[k]))
     return found
 
 

@@ -50,6 +50,6 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
         independent_covariance=J @ adjusted.independent_covariance @ J.T,
         free=free,
         agreement=adjusted.agreement[np.ix_(order, order)],
-        residual_rms=adjusted.residual_rms[order],
+        noise=replace(adjusted.noise, white=adjusted.noise.white[order]),
         point_counts=adjusted.point_counts[order],
     )

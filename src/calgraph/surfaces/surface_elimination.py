@@ -4,6 +4,7 @@ Points of one sensor on one surface within a second are a view. Each view has a 
 with a relief; both are linear in the residuals and are eliminated in closed form, view biases first.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,22 @@ class NoiseModel:
     view: Array
     """(2,) of the offset of a patch as one sensor measures it within a view, and of its slopes at one standard
     deviation of the points from the middle, m."""
+
+    @classmethod
+    def at_start(cls, sensors: int) -> "NoiseModel":
+        """Before any residuals."""
+        return cls(np.full(sensors, _START_WHITE), np.full(2, _START_VIEW))
+
+    def estimated_again(self, equations: Sequence["SurfaceEquations"]) -> "NoiseModel":
+        """The noise by the residuals of all worlds; as before where there are none."""
+        white = np.array([one.white for one in equations])
+        counts = white[:, :, 1].sum(axis=0)
+        mean = np.sum(white[:, :, 0] * white[:, :, 1], axis=0) / np.maximum(counts, 1)
+        squares, number = np.moveaxis(np.sum([one.view for one in equations], axis=0), -1, 0)
+        view = np.where(number > 0, np.sqrt(squares / np.maximum(number, 1)), self.view)
+        return NoiseModel(
+            np.maximum(np.where(counts > 0, mean, self.white), _MIN_WHITE), np.maximum(view, _MIN_VIEW)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +80,10 @@ class PointScores:
         return np.asarray(change * self.force[:, None])
 
 
+# Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
+_START_WHITE, _START_VIEW = 0.02, 0.01
+# Least ones: quantised ranges, and walls that are better than any.
+_MIN_WHITE, _MIN_VIEW = 0.002, 0.0005
 # Degrees of freedom of Student's t for view biases: a few are of furniture, or of something that moved. The fourth
 # moment of those of an office is 13 to 30 times the squared second; errors with 2, 4 and many differ by 20 %.
 _FREEDOM = 4.0

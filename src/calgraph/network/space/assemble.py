@@ -22,11 +22,18 @@ from calgraph.network.space.start import SpaceStart
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.result import Calibration, Evidence, FitError, SensorPose, Verdict
 from calgraph.result.finding import Finding
+from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.solver.connected_parts import label_parts
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
-from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
+from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
 _ADVICE = "let people walk farther and in more directions where the views of LiDARs overlap"
+_RANGE_ADVICE = (
+    "measure the range errors of the LiDARs at known distances, and state what is left in rig.yaml "
+    "(uncertainty: range_bias, range_scale)"
+)
+# Sources of uncertainty, and the share of ranges in the most uncertain axis with which they are what to improve.
+_RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
 # Agreement of maps below which nothing but people shows that a pose is right.
@@ -54,7 +61,11 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     names = list(start.states) if solution else [rig.root]
     states = solution.states if solution else [start.states.get(rig.root, SensorState(np.eye(4)))]
     T_root_world = se3.inverse(states[0].T_root_sensor)
-    covariance, clocks = _express_in_root(solution, T_root_world) if solution else (np.zeros((6, 6)), np.zeros(1))
+    covariance = known = np.zeros((6, 6))
+    clocks = np.zeros(1)
+    if solution:
+        covariance, clocks = _express_in_root(solution, solution.covariance, T_root_world)
+        known, _ = _express_in_root(solution, solution.with_ranges, T_root_world)
     by_sensor = collect_findings(result.findings)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
@@ -65,11 +76,16 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
         if k and solution is not None:
+            stddev, rest = (stddev_along_axes(T, one[block, block]) for one in (covariance, known))
+            share = 1 - (rest / stddev) ** 2
+            worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
             verdict = grade_pose(
                 name, spec.kind, T, covariance[block, block],
                 [*by_sensor.get(name, ()), *_find_contradictions(solution, k)],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
-                data="walks and surfaces", advice=_ADVICE,
+                data=_REST,
+                advice=_RANGE_ADVICE if share[worst] > _LARGE_SHARE else _ADVICE,
+                shares={_RANGES: share, _REST: 1 - share},
             )  # fmt: skip
         sensors.append(
             SensorPose(
@@ -139,11 +155,17 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     return reasons
 
 
-def _express_in_root(solution: SpaceSolution, T_root_world: Array) -> tuple[Array, Array]:
-    """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s."""
+def _express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
+    """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s.
+
+    Args:
+        solution: of the sensors.
+        covariance: (P, P) of their free states.
+        T_root_world: (4, 4) its world in the frame of the root.
+    """
     S = len(solution.states)
     whole = np.zeros((solution.free.size,) * 2)
-    whole[np.ix_(*[np.flatnonzero(solution.free)] * 2)] = solution.covariance
+    whole[np.ix_(*[np.flatnonzero(solution.free)] * 2)] = covariance
     numbers = np.arange(solution.free.size).reshape(S, -1)
     pose = numbers[:, :6].ravel()
     turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])

@@ -40,7 +40,8 @@ _HEIGHTS, _UPPER = (0.4, 2.2), (0.9, 1.9)
 _CELL, _REACH = 0.15, 2
 # Least points of a body, and of its upper half.
 _MIN_POINTS, _MIN_UPPER = 6, 4
-# What is wider is several people, or a vehicle, m; what ends lower than this is no person.
+# Upper bodies that are wider are several people, or a vehicle, m (legs that step are longer); what ends lower than
+# this is no person.
 _MAX_WIDTH, _MIN_HEIGHT = 1.1, 0.9
 # Distance below which bodies are hard to distinguish, m: two people who touch; and least share of the other's
 # points, of what is more than an arm of it.
@@ -71,7 +72,6 @@ def find_bodies(moving: MovingPoints, T_floor_sensor: Array, view: StaticView) -
         return _build_nothing()
     count = np.diff(first, append=len(label))
     upper = (points[:, 2] > _UPPER[0]) & (points[:, 2] < _UPPER[1])
-    size = np.maximum.reduceat(points, first) - np.minimum.reduceat(points, first)
     good = (count >= _MIN_POINTS) & (np.add.reduceat(upper.astype(np.intp), first) >= _MIN_UPPER)
     good &= np.maximum.reduceat(points[:, 2], first) >= _MIN_HEIGHT
     if not good.any():
@@ -82,6 +82,7 @@ def find_bodies(moving: MovingPoints, T_floor_sensor: Array, view: StaticView) -
     body = points[rows]
     firsts = np.flatnonzero(np.diff(number, prepend=-1))
     n = np.diff(firsts, append=len(number))
+    size = np.maximum.reduceat(body[:, :2], firsts) - np.minimum.reduceat(body[:, :2], firsts)
     mean = np.add.reduceat(body, firsts) / n[:, None]
     heading = np.arctan2(mean[:, 1], mean[:, 0])
     bearing = np.arctan2(body[:, 1], body[:, 0]) - heading[number]
@@ -104,7 +105,7 @@ def find_bodies(moving: MovingPoints, T_floor_sensor: Array, view: StaticView) -
             ]
         ),
         n,
-        np.hypot(size[good, 0], size[good, 1]) <= _MAX_WIDTH,
+        np.hypot(*size.T) <= _MAX_WIDTH,
         np.isfinite(middle) & ~seam[good],
     )
     return _mark_neighbors(bodies, heading[:, None] + edges, T_floor_sensor, view)

@@ -32,8 +32,8 @@ from calgraph.network.space.static_surfaces import (
 )
 from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
 from calgraph.surfaces.map_agreement import measure_agreement
-from calgraph.surfaces.sensor_states import SensorState
-from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.surface_elimination import NoiseModel
 from calgraph.verdict.state_changes import PERIOD, Change, find_changes
 
 # Distances up to which tracks are of one person, and points of one surface, m, by iteration: from errors of the
@@ -42,12 +42,9 @@ _PERSON_GATES = (0.5, 0.4, 0.3, *[0.3] * 9)
 _SURFACE_GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 7)
 # Last steps, on persons and surfaces that stay the same, so that they converge.
 _FIXED_STEPS = 6
-# Start values of standard deviations: of samples over their first guesses, and of their views, m; of points, and
-# of the views of surfaces, m.
+# Start values of standard deviations: of samples over their first guesses, and of their views, m; least ones.
 _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
-_START_WHITE, _START_VIEW = 0.02, 0.01
-# Least ones of these.
-_MIN_SCALE, _MIN_BODY_VIEW, _MIN_WHITE, _MIN_VIEW = 0.2, 0.003, 0.002, 0.0005
+_MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
 # By how much the scatter of clusters is multiplied: errors of bodies and floors are the same in several. In
 # 11 simulated halls the mean squared error over the covariance is 1.6 with 1, and 0.5 with 4.
 _SCATTER_FACTOR = 2.0
@@ -95,6 +92,8 @@ class SpaceSolution:
     """(S, 12) which states are estimated."""
     covariance: Array
     """(P, P) of these."""
+    with_ranges: Array
+    """(P, P) that it would be if the ranges of all sensors had no errors but noise."""
     persons: Sequence[BodySamples]
     """The measurements of each person whom several sensors measured."""
     people: PeopleEquations
@@ -135,7 +134,7 @@ def solve_space(
     information = np.concatenate([prior[free], SHARED_STDDEV]) ** -2.0
     samples = gather_samples(observations)
     points = [thin_points(one.static.points) for one in observations]
-    noise = NoiseModel(np.full(len(states), _START_WHITE), np.full(2, _START_VIEW))
+    noise = NoiseModel.at_start(len(states))
     body_noise, body = _START_BODY, SHARED_MEAN
     persons: list[BodySamples] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
@@ -154,7 +153,7 @@ def solve_space(
         full[free] = step[:count]
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
         body = body + step[count:]
-        body_noise, noise = _estimate_body_noise(reduced, body_noise), _estimate_noise(surfaces, noise)
+        body_noise, noise = _estimate_body_noise(reduced, body_noise), noise.estimated_again([surfaces])
         progress((k + 1) / len(_PERSON_GATES))
     along = surfaces.scores.along(np.eye(count, len(H)))
     clusters = [
@@ -163,19 +162,33 @@ def solve_space(
         sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
         sum_clusters(along, _label_rings(shared)),
     ]
-    covariance = widen_by_clusters(np.asarray(np.linalg.inv(H), dtype=np.float64), clusters, _SCATTER_FACTOR)
+    inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    covariance = widen_by_clusters(inverse, clusters, _SCATTER_FACTOR)[:count, :count]
     world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
     left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
     equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
     places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
     return SpaceSolution(
-        states, free, covariance[:count, :count], persons, people, shared, noise, body_noise, body,
+        states, free, covariance, _condition_on_ranges(covariance, free),
+        persons, people, shared, noise, body_noise, body,
         agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
         contradiction=_compare_people(people, H, free),
         changes=find_changes(equations, free, ends, places - places[0]),
         begin=float(ends[0] - PERIOD),
         squared_step=float(step @ H @ step),
     )  # fmt: skip
+
+
+def _condition_on_ranges(covariance: Array, free: NDArray[np.bool_]) -> Array:
+    """The covariance (P, P) of free states for known range biases and scales."""
+    column = np.nonzero(free)[1]
+    ranges = np.flatnonzero(
+        (column == free.shape[1] - BESIDE_POSE + 1) | (column == free.shape[1] - BESIDE_POSE + 2)
+    )
+    if not len(ranges):
+        return covariance
+    cross = covariance[:, ranges]
+    return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(ranges, ranges)], cross.T))
 
 
 def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
@@ -244,13 +257,4 @@ def _estimate_body_noise(persons: Sequence[PersonEquations], noise: BodyNoise) -
     return BodyNoise(
         np.maximum(np.sqrt(white[:, 0] / np.maximum(white[:, 1], 1)), _MIN_SCALE),
         np.maximum(np.sqrt(view[:, 0] / np.maximum(view[:, 1], 1)), _MIN_BODY_VIEW),
-    )
-
-
-def _estimate_noise(surfaces: SurfaceEquations, noise: NoiseModel) -> NoiseModel:
-    white, counts = surfaces.white.T
-    squares, number = surfaces.view.T
-    view = np.where(number > 0, np.sqrt(squares / np.maximum(number, 1)), noise.view)
-    return NoiseModel(
-        np.maximum(np.where(counts > 0, white, noise.white), _MIN_WHITE), np.maximum(view, _MIN_VIEW)
     )

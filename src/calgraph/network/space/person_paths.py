@@ -30,7 +30,7 @@ from calgraph.network.space.persons import (
     place_samples,
     point_outward,
 )
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState
 
 SHAPE = 6
 """Numbers of a body: depth of the axis behind the front, m, its change with the aspect, between front and back,
@@ -137,6 +137,10 @@ def reduce_person(
     by_state[:, :, -BESIDE_POSE] = velocity
     by_states = _arrange_derivatives(rows.direction, by_state, of_state, count)
     H, g, response = _eliminate(rows, fit, by_states, prior, mean)
+    # Accelerations are relative to the size of the network: they would else make it smaller, by 0.05 % of halls.
+    path_prior = fit.own[:-SHAPE] @ prior[:-SHAPE, :-SHAPE] @ fit.own[:-SHAPE]
+    size = by_state.shape[2]
+    g[size - TIMING - 1 : size * count : size] += path_prior * np.bincount(of_state, minlength=count) / len(times)
     force = (fit.residual - fit.error[rows.view]) * fit.information
     scores = rows.gather @ by_states.multiply(force[:, None]).toarray()
     scores = np.column_stack([scores, np.zeros((len(scores), SHAPE))])
