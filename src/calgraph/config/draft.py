@@ -59,8 +59,8 @@ _PEOPLE = """\
 # instead, state it here: calgraph board prints its block.
 target:
   kind: people
-# Distances between LiDARs are as good as their ranges. Where the bias of a LiDAR is known, correct its ranges, and
-# state what is left, m: uncertainty: {{range_bias: 0.005}}; 0.02 is assumed.
+# Distances between LiDARs are as good as their ranges: compare these with known distances, and state what is left
+# in m and relative, for each LiDAR, as uncertainty: {{range_bias: 0.005, range_scale: 0.0005}}.
 """
 _OPTIONAL = """\
 # These can take part, too: take their # away. Cameras need boards that are fixed in the room, as target.boards.\

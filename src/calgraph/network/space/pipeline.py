@@ -111,7 +111,7 @@ def _lidar_spec(name: str, spec: SensorSpec) -> Lidar3dSpec:
     if not isinstance(spec, Lidar3dSpec):
         raise InputError(
             f"sensors.{name}.kind: must be lidar3d beside 3-D LiDARs that people calibrate, got {spec.kind}; give "
-            "other sensors a rig.yaml of their own"
+            "other sensors a separate rig.yaml"
         )
     return spec
 
