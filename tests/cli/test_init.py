@@ -117,6 +117,19 @@ def test_a_drive_is_drafted_with_surroundings(run: Run, tmp_path: Path) -> None:
     assert {s.topic: s.kind for s in draft.sensors.values()} == {s.topic: s.kind for s in truth.sensors.values()}
 
 
+def test_lidars_in_a_hall_are_drafted_with_people(run: Run, tmp_path: Path) -> None:
+    simulated = run("simulate", "network", "-o", tmp_path / "hall", "--lidars", "2", "--duration", "11")
+    assert simulated.exit_code == 0, simulated.output
+    result = run("init", tmp_path / "hall" / "recording", "-o", tmp_path / "rig.yaml")
+    assert result.exit_code == 0, result.output
+    assert "it is of LiDARs that are fixed in a building, as 3-D LiDARs are at rest" in " ".join(
+        result.stderr.split()
+    )
+    draft, truth = load_rig(tmp_path / "rig.yaml"), load_rig(tmp_path / "hall" / "rig.yaml")
+    assert draft.target == truth.target
+    assert {s.topic: s.kind for s in draft.sensors.values()} == {s.topic: s.kind for s in truth.sensors.values()}
+
+
 def test_an_existing_file_is_kept(run: Run, simulated: Path, drafted: Path) -> None:
     drafted.write_text("mine")
     result = run("init", simulated / "recording", "-o", drafted)

@@ -15,6 +15,7 @@ from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import Recording, correct_stamps, find_topics, open_recording
+from calgraph.recording.building_network import find_building_network
 from calgraph.recording.clocks import compare_clocks
 from calgraph.recording.moving_robot import find_moving_robot
 from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
@@ -46,14 +47,19 @@ def init(
         timed = [topic.name for topic in topics if topic.kind in KINDS or topic in find_triggers(topics)[0]]
         by_one_clock = correct_stamps(opened, compare_clocks(opened, timed).certain_offsets())
         robot = None if boards else find_moving_robot(by_one_clock, topics)
-        background = None if robot else find_background(by_one_clock, topics, boards)
-        found = None if robot else find_mode(by_one_clock, topics, background)
+        network = None if boards or robot else find_building_network(by_one_clock, topics)
+        boardless = robot or network
+        background = None if boardless else find_background(by_one_clock, topics, boards)
+        found = None if boardless else find_mode(by_one_clock, topics, background)
         mode = FoundMode(found.mode, found.reason) if found else None
-        text = draft_rig(topics, recording, target, background, mode, robot.reason if robot else "")
+        reasons = (robot.reason if robot else "", network.reason if network else "")
+        text = draft_rig(topics, recording, target, background, mode, *reasons)
     write_text(out, text)
-    todo = "go through its comments" if board or robot else "state your board in it, and go through its comments"
+    todo = f"{'' if board or boardless else 'state your board in it, and '}go through its comments"
     if robot:
         todo += f"; it is of a robot that drives, as {robot.reason}"
+    if network:
+        todo += f"; it is of LiDARs that are fixed in a building, as {network.reason}"
     console(stderr=True).print(f"Wrote {out}: {todo}", markup=False)
 
 

@@ -53,6 +53,15 @@ target:
 # To get the root on the vehicle, too:
 # base: {{frame: base_link, axle: rear}}
 """
+_PEOPLE = """\
+# CHECK: this is taken for LiDARs that are fixed in a building, as {reason}.
+# They are calibrated from people who walk through their views. If a board was shown to LiDARs of one robot
+# instead, state it here: calgraph board prints its block.
+target:
+  kind: people
+# Distances between LiDARs are as good as their ranges: compare these with known distances, and state what is left
+# in m and relative, for each LiDAR, as uncertainty: {{range_bias: 0.005, range_scale: 0.0005}}.
+"""
 _OPTIONAL = """\
 # These can take part, too: take their # away. Cameras need boards that are fixed in the room, as target.boards.\
 """
@@ -128,6 +137,7 @@ def draft_rig(
     background: FoundBackground | None = None,
     mode: FoundMode | None = None,
     drive: str = "",
+    network: str = "",
 ) -> str:
     """The text of a rig.yaml with every sensor found, one for each camera however many topics it has.
 
@@ -138,6 +148,7 @@ def draft_rig(
         background: the time without board and operator, if one was found.
         mode: how the recording shows the board, if that is known; its triggers come first.
         drive: why it is of a robot that drives, which needs no target; empty where it is not.
+        network: why it is of LiDARs that are fixed in a building; empty where it is not.
 
     Raises:
         InputError: there is no sensor among the topics.
@@ -150,6 +161,10 @@ def draft_rig(
         raise InputError(
             f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
         )
+    if network:
+        people = _PEOPLE.format(reason=_single_line(network))
+        parts = [_head(recording, board=False), _root(sensors), people, _sensors(sensors)]
+        return "\n".join([*parts, *filter(None, [_unused_topics(topics, unused)])])
     parts = [
         _head(
             recording,
@@ -315,8 +330,8 @@ def _root(sensors: Sequence[_Sensor]) -> str:
 
 def _missing_target(sensors: Sequence[_Sensor]) -> str:
     """Comments in place of a target."""
-    only_scanners = all(KINDS[sensor.topic.kind].detects == "line" for sensor in sensors)
-    return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if only_scanners else "")
+    kinds = {sensor.topic.kind for sensor in sensors}
+    return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if kinds in ({"lidar2d"}, {"lidar3d"}) else "")
 
 
 def _capture(

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.config import Lidar3dSpec, Rig
+from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.network.checks.assemble import assemble_network
@@ -25,7 +25,7 @@ from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
-from calgraph.network.space.pipeline import calibrate_in_space
+from calgraph.network.space.pipeline import calibrate_in_space, check_space, has_lidars
 from calgraph.network.step_log import log_network
 from calgraph.network.timed_tracks import track_with_beam_times
 from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec
@@ -39,6 +39,7 @@ from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.verdict.comparison import ExtrinsicsComparison
+from calgraph.verdict.contradicted_poses import compare_with_contradictions
 from calgraph.verdict.grades import max_good_stddev
 from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 
@@ -52,11 +53,14 @@ def calibrate_network(
     """
     # Checked before minutes are spent on tracking.
     options.select_method(rig.settings.published)
+    in_space = has_lidars(rig)
+    if in_space:
+        check_space(rig, options)
     _calibration_to_extend(rig, options)
     check_sensor_topics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
     recording, offsets, corrected = correct_clocks(rig, recording, options.cache)
-    if any(isinstance(spec, Lidar3dSpec) for spec in rig.sensors.values()):
+    if in_space:
         calibration = calibrate_in_space(rig, recording, options, monitor, corrected, progress)
         return add_clock_offsets(calibration, rig, offsets)
     tracks, frames, findings = track_with_beam_times(rig, recording, options, progress, monitor)
@@ -130,6 +134,8 @@ def compare_network_extrinsics(
 ) -> tuple[Calibration, ExtrinsicsComparison]:
     """Comparison of the given poses of a network with its calibration, by its tolerance."""
     calibration = calibrate_network(rig, recording, options, progress)
+    if has_lidars(rig):
+        return calibration, compare_with_contradictions(rig, calibration, given, "walks and surfaces")
     return calibration, compare_network_poses(calibration, given, rig.tolerance, settings=rig.settings.diagnostics)
 
 

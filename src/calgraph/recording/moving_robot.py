@@ -12,7 +12,7 @@ from calgraph.sensors import LaserScan, Message, PointCloud, Pose
 from calgraph.sensors.kinds import KINDS, motion_kind_of
 
 # Messages of a sensor, and their duration, s, from which a drive is possible at all: snapshots have fewer.
-_MIN_COUNT, _MIN_DURATION = 50, 10.0
+MIN_COUNT, MIN_DURATION = 50, 10.0
 # Messages of each scanner that are compared, spread over the recording, each with the one this many before: in a
 # quarter of the recording a robot gets to another place.
 _MESSAGES, _LAG = 24, 6
@@ -43,12 +43,12 @@ def find_moving_robot(recording: Recording, topics: Sequence[FoundTopic]) -> Mov
         recording: is read once, and few of its messages are decoded.
         topics: of the recording.
     """
-    if recording.end - recording.start < _MIN_DURATION:
+    if recording.end - recording.start < MIN_DURATION:
         return None
     scanners = [topic for topic in topics if topic.kind in _MIN_SHARE and topic.count and not topic.problem]
     if not scanners:
         return _find_moving_pose(recording, topics)
-    if any(topic.count < _MIN_COUNT for topic in scanners):
+    if any(topic.count < MIN_COUNT for topic in scanners):
         return None
     shares = np.array(measure_changes(recording, [topic.name for topic in scanners]))
     if np.mean(shares / [_MIN_SHARE[topic.kind] for topic in scanners]) < 1:
@@ -58,7 +58,7 @@ def find_moving_robot(recording: Recording, topics: Sequence[FoundTopic]) -> Mov
 
 def _find_moving_pose(recording: Recording, topics: Sequence[FoundTopic]) -> MovingRobot | None:
     """The same by poses, where no camera or scanner is recorded."""
-    moving = [t.name for t in topics if motion_kind_of(t.type) == "trajectory" and t.count >= _MIN_COUNT]
+    moving = [t.name for t in topics if motion_kind_of(t.type) == "trajectory" and t.count >= MIN_COUNT]
     if any(topic.kind in KINDS for topic in topics):
         return None
     for topic in moving:
@@ -77,7 +77,7 @@ def measure_changes(recording: Recording, topics: Sequence[str]) -> list[float]:
     for record in recording.records(topics):
         if record.arrival >= due[record.topic]:
             due[record.topic] += interval
-            kept[record.topic].append(_find_nearest(record.decode()))
+            kept[record.topic].append(image_ranges(record.decode()))
     pairs = [zip(some, some[_LAG:], strict=False) for some in kept.values()]
     shares = [[_compare(*pair) for pair in some] for some in pairs]
     return [float(np.median(some)) if some else 0.0 for some in shares]
@@ -90,7 +90,7 @@ def _compare(before: Array, after: Array) -> float:
     return float(np.mean(np.abs(after[both] - before[both]) > margin)) if both.any() else 0.0
 
 
-def _find_nearest(message: Message) -> Array:
+def image_ranges(message: Message) -> Array:
     """(E, A) nearest range by elevation and azimuth, m; infinite without returns."""
     points = np.zeros((0, 3))
     if isinstance(message, LaserScan | PointCloud):

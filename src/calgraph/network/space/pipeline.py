@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calgraph.config import Lidar3dSpec, Rig
+from calgraph.config import Cylinder, Lidar3dSpec, Rig
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
 from calgraph.network.checks.findings import collect_network_findings
@@ -21,11 +21,37 @@ from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.sensors import PointCloud
+from calgraph.sensors.kinds import SensorSpec
 from calgraph.surfaces.sensor_states import TIMING
 from calgraph.verdict.state_changes import describe_changes
 
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
+
+
+def has_lidars(rig: Rig) -> bool:
+    """Whether a network is one in space: it has a 3-D LiDAR."""
+    return any(isinstance(spec, Lidar3dSpec) for spec in rig.sensors.values())
+
+
+def check_space(rig: Rig, options: NetworkOptions) -> None:
+    """Checks what is asked of a network in space.
+
+    Raises:
+        InputError: a sensor is no 3-D LiDAR, the target is not people, or an option is of planar networks.
+    """
+    for name, spec in rig.sensors.items():
+        _lidar_spec(name, spec)
+    if isinstance(rig.target, Cylinder):
+        raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
+    if options.extend is not None:
+        raise InputError(
+            "`extend`: is of networks of 2-D scanners as yet; give a recording of all 3-D LiDARs of the network, "
+            "without it"
+        )
+    estimator = options.select_method(rig.settings.published).estimator
+    if estimator != "joint":
+        raise InputError(f"`estimator`: must be joint for a network of 3-D LiDARs, got {estimator}")
 
 
 def calibrate_in_space(
@@ -39,20 +65,13 @@ def calibrate_in_space(
     """Calibrates stationary 3-D LiDARs from people who walk through their views.
 
     Args:
-        rig: the network.
+        rig: the network, which :func:`check_space` allows.
         recording: of its sensors, by one clock.
         options: how to calibrate.
         monitor: observes the messages.
         findings: of clocks.
         progress: called with the step and the fraction done.
-
-    Raises:
-        InputError: a sensor is no 3-D LiDAR, or options of planar networks.
     """
-    if options.extend is not None or options.select_method(rig.settings.published).estimator != "joint":
-        raise InputError(
-            "`estimator`: networks with 3-D LiDARs are solved jointly, and cannot be extended, as yet"
-        )
     observed, frames = _observe(rig, recording, options, monitor, progress)
     findings = [*findings, *monitor.findings()]
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
@@ -88,9 +107,12 @@ def _observe(
     return observed, frames
 
 
-def _lidar_spec(name: str, spec: object) -> Lidar3dSpec:
+def _lidar_spec(name: str, spec: SensorSpec) -> Lidar3dSpec:
     if not isinstance(spec, Lidar3dSpec):
-        raise InputError(f"sensors.{name}.kind: a network with 3-D LiDARs has these only, as yet")
+        raise InputError(
+            f"sensors.{name}.kind: must be lidar3d beside 3-D LiDARs that people calibrate, got {spec.kind}; give "
+            "other sensors a separate rig.yaml"
+        )
     return spec
 
 
