@@ -146,8 +146,8 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
     layout = {
         "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
-        # A hall is viewed from above and from near, as it is larger than the frames in it.
-        "scene": _make_scene(calibration, size, (0.75, -0.75, 0.8) if rig.is_network else (1.25, -1.25, 0.7)),
+        # A hall is viewed from higher up, over its walls.
+        "scene": _make_scene(calibration, size, (0.95, -0.95, 0.95) if rig.is_network else (1.25, -1.25, 0.7)),
     }
     labels = ("the LiDARs", "with walls and walks") if rig.is_network else ("the rig", "with the boards")
     view = _view_buttons(calibration, size, (len(of_rig), len(around)), labels)
