@@ -23,6 +23,7 @@ from calgraph.result import (
     load_scene,
     save_scene,
 )
+from space_results import hall
 
 GRADIENT = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 48, axis=0) * np.array(
     [1, 0, 0], np.uint8
@@ -105,6 +106,16 @@ def test_numpy_alone_can_read_it(shown: Pictures, saved: Path) -> None:
 def test_a_scene_from_before_residuals_of_networks_is_read(shown: Pictures, saved: Path) -> None:
     other = _without(saved, "ranges/sensor.npy")
     assert _same(load_scene(other), dataclasses.replace(shown, beam_views=()))
+
+
+def test_static_points_and_the_plan_come_back(tmp_path: Path) -> None:
+    pictures = hall().pictures
+    save_scene(pictures, tmp_path / "scene.npz")
+    assert _same(load_scene(tmp_path / "scene.npz"), pictures)
+
+
+def test_a_scene_from_before_plans_is_read(shown: Pictures, saved: Path) -> None:
+    assert _same(load_scene(_without(saved, "plan/T_plan_root.npy")), shown)
 
 
 def test_beams_without_residuals_are_refused(shown: Pictures, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from calgraph.report.figures import BLUE, NO_DATA, ORANGE, RULE, Figure, escape_plotly, make_figure, render_figure
 from calgraph.report.formatting import format_fixed, format_length
 from calgraph.report.templates import render
-from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary
+from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, CaptureRow
 
 _ABSENT, _REJECTED, _USED = 0, 1, 2
@@ -27,7 +27,7 @@ def render_captures(calibration: Calibration, words: Vocabulary) -> Markup:
         return Markup('<p class="empty">{}</p>').format(words.no_items)
     names = _ordered_names(calibration)
     shown = rows[:: len(rows) // _MAX_ROWS + 1]
-    draw = walk_timeline if words is NETWORK_VOCABULARY else _outcome_matrix
+    draw = walk_timeline if words.item == "walk" else _outcome_matrix
     return render(
         "captures.html",
         words=words,

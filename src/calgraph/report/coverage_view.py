@@ -28,6 +28,8 @@ _SECTOR_WIDTH = 30
 _THIRDS = (("left", "middle", "right"), ("top", "centre", "bottom"))
 # Points beyond this percentile are not counted to the field of view, percent.
 _TAIL_PERCENT = 0.5
+# Of the middle of people over the floor, m.
+_BODY_HEIGHT = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,10 @@ def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> 
         views = _board_detections(calibration, sensor)
         return _camera_coverage(calibration, sensor, camera, views) if camera and views else None
     if calibration.pictures.floor_views:
-        walks = _walk_positions(calibration, sensor)
+        solid = KINDS[sensor.kind].detects == "plane"
+        walks = _walk_positions(calibration, sensor, _BODY_HEIGHT if solid else 0.0)
+        if walks and solid:
+            return _lidar_coverage(walks, [*_static_points(calibration, sensor), *walks], "People walked")
         field = _background_points(calibration, sensor)
         return _planar_coverage(walks, [*field, *walks], "People walked") if walks else None
     subject, views = "The board was", _board_detections(calibration, sensor)
@@ -84,15 +89,22 @@ def _scanned_points(calibration: Calibration, sensor: SensorPose) -> list[Array]
     )
 
 
-def _walk_positions(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    """Positions of people in a scanner of a network, in the scanner's frame."""
+def _walk_positions(calibration: Calibration, sensor: SensorPose, height: float) -> list[Array]:
+    """Positions of people in a scanner of a network, at a height in the plan, in the scanner's frame, m."""
     views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite_points(_to_sensor_frame(walk, sensor) for view in views for walk in view.tracks)
+    return _finite_points(
+        _to_sensor_frame(calibration, walk, sensor, height) for view in views for walk in view.tracks
+    )
 
 
 def _background_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite_points(_to_sensor_frame(view.background, sensor) for view in views)
+    return _finite_points(_to_sensor_frame(calibration, view.background, sensor) for view in views)
+
+
+def _static_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
+    return _finite_points(view.points.astype(np.float64) for view in views)
 
 
 def _surface_points(calibration: Calibration, sensor: SensorPose) -> tuple[list[Array], list[Array]]:
@@ -114,9 +126,10 @@ def _finite_points(clouds: Iterable[Array]) -> list[Array]:
     return [points for points in finite if len(points)]
 
 
-def _to_sensor_frame(points: Array, sensor: SensorPose) -> Array:
-    """(N, 3) in a scanner's frame of points (N, 2) on the floor."""
-    return se3.apply(se3.inverse(sensor.T_root_sensor), np.column_stack([points, np.zeros(len(points))]))
+def _to_sensor_frame(calibration: Calibration, points: Array, sensor: SensorPose, height: float = 0.0) -> Array:
+    """(N, 3) in a scanner's frame of points (N, 2) at a height in the plan."""
+    T_plan_sensor = calibration.pictures.T_plan_root @ sensor.T_root_sensor
+    return se3.apply(se3.inverse(T_plan_sensor), np.column_stack([points, np.full(len(points), height)]))
 
 
 def _camera_coverage(

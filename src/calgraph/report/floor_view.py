@@ -1,13 +1,14 @@
-"""The floor plan of a network: scanners, their uncertainty, and their measurements, in the root's frame."""
+"""The floor plan of a network: scanners, their uncertainty, and their measurements."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 from scipy.special import chdtri
 
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se2
 from calgraph.report.figures import (
     COLOR_CYCLE,
     INK,
@@ -32,6 +33,7 @@ _HEIGHT, _LEGEND_LINE_HEIGHT, _NAMES_PER_LINE = 680, 25, 9
 
 def render_floor_plan(calibration: Calibration) -> Markup:
     """The figure, with a sentence on the scale of the uncertainties."""
+    calibration = place_on_plan(calibration)
     extent = _plan_extent(calibration)
     factor = _choose_enlargement(calibration.sensors, extent)
     drawn = {view.sensor: view for view in calibration.pictures.floor_views}
@@ -53,6 +55,24 @@ def render_floor_plan(calibration: Calibration) -> Markup:
     return render_figure("floor", _make_plan(traces), height, "Floor plan of the network", choosers, caption)
 
 
+def place_on_plan(calibration: Calibration) -> Calibration:
+    """The calibration with its poses and covariances in the plan of the network, in place of the root's frame."""
+    T = calibration.pictures.T_plan_root
+    if np.array_equal(T, np.eye(4)):
+        return calibration
+    joint = calibration.joint_covariance.reshape(2 * len(calibration.sensors), 3, -1, 3)
+    initial = {name: T @ before for name, before in calibration.evidence.initial_poses.items()}
+    return replace(
+        calibration,
+        sensors=tuple(replace(s, T_root_sensor=T @ s.T_root_sensor) for s in calibration.sensors),
+        # By blocks: unknown correlations do not make others unknown.
+        joint_covariance=np.einsum("ij,ajbk,lk->aibl", T[:3, :3], joint, T[:3, :3]).reshape(
+            calibration.joint_covariance.shape
+        ),
+        evidence=replace(calibration.evidence, initial_poses=initial),
+    )
+
+
 def _pose_states(calibration: Calibration) -> dict[str, list[list[float]]]:
     """By label, the transforms of each scanner's measurements to its poses before the joint solution."""
     if not calibration.pictures.floor_views:
@@ -64,7 +84,7 @@ def _pose_states(calibration: Calibration) -> dict[str, list[list[float]]]:
     moves = {
         words: [
             # Scanners from an earlier calibration have no start pose.
-            _planar_transform(poses.get(s.name, s.T_root_sensor) @ se3.inverse(s.T_root_sensor))
+            _planar_transform(poses.get(s.name, s.T_root_sensor), s.T_root_sensor)
             for s in calibration.sensors
         ]
         for words, poses in poses_before.items()
@@ -72,9 +92,11 @@ def _pose_states(calibration: Calibration) -> dict[str, list[list[float]]]:
     return {**moves, "after: calibrated": []}
 
 
-def _planar_transform(T: Array) -> list[float]:
-    """Cosine and sine of the rotation, and the translation, m, of a pose (4, 4) in the plane."""
-    return [float(T[0, 0]), float(T[1, 0]), float(T[0, 3]), float(T[1, 3])]
+def _planar_transform(before: Array, after: Array) -> list[float]:
+    """Cosine and sine of the rotation, and the translation, m, from one pose (4, 4) to the other in the plane."""
+    T_before, T_after = (se2.pose(float(np.arctan2(T[1, 0], T[0, 0])), T[:2, 3]) for T in (before, after))
+    T = T_before @ se2.inverse(T_after)
+    return [float(T[0, 0]), float(T[1, 0]), float(T[0, 2]), float(T[1, 2])]
 
 
 def _make_plan(traces: list[dict[str, Any]]) -> Figure:

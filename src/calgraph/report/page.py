@@ -16,7 +16,7 @@ from calgraph.report.budget_view import render_budget
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
 from calgraph.report.drive_view import render_drive
-from calgraph.report.floor_view import render_floor_plan
+from calgraph.report.floor_view import place_on_plan, render_floor_plan
 from calgraph.report.formatting import format_base
 from calgraph.report.fused_view import render_fused_cloud
 from calgraph.report.gallery import render_gallery
@@ -27,7 +27,7 @@ from calgraph.report.rig_view import render_rig_view
 from calgraph.report.systematic_view import render_systematic_parameters
 from calgraph.report.templates import read_asset, render
 from calgraph.report.verdict_cards import describe_next_step, render_cards, summarize_verdicts
-from calgraph.report.vocabulary import DRIVE_VOCABULARY, NETWORK_VOCABULARY, Vocabulary, select_vocabulary
+from calgraph.report.vocabulary import DRIVE_VOCABULARY, SPACE_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration, Provenance
 from calgraph.result.exports import roll_pitch_yaw
 from calgraph.sensors.kinds import KINDS
@@ -81,7 +81,8 @@ def _render_page(
         poses=_render_poses(calibration),
         budget=render_budget(calibration),
         graph=render_graph(calibration, words),
-        view=render_floor_plan(calibration) if words is NETWORK_VOCABULARY else render_rig_view(calibration, rig),
+        view=render_floor_plan(calibration) if rig.is_network else render_rig_view(calibration, rig),
+        space=render_rig_view(place_on_plan(calibration), rig) if words is SPACE_VOCABULARY else "",
         images=render_camera_images(calibration, rig),
         drive=render_drive(calibration),
         errors=render_residual_pictures(calibration, rig, words),

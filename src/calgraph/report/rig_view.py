@@ -11,6 +11,7 @@ from calgraph.geometry import Array, se3
 from calgraph.report.figures import (
     BLUE,
     BROWN,
+    COLOR_CYCLE,
     GREEN,
     INK,
     MUTED,
@@ -104,13 +105,20 @@ Buttons = dict[str, dict[str, Any]]
 _AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 _BEAM_ELEVATIONS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
+# Static points of all LiDARs of a network: more make browsers slow, and the file large.
+_MAX_POINTS = 24_000
 
 
 def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
-    """The figure, with buttons for the view and for the enlargement of the uncertainties."""
+    """The figure, with buttons for the view and for the enlargement of the uncertainties.
+
+    Args:
+        calibration: the result; of a network by :func:`calgraph.report.floor_view.place_on_plan`.
+        rig: its configuration.
+    """
     size = _axis_length(calibration)
     outlines = calibration.pictures.board_outlines
-    fixed = [
+    of_rig = [
         *(_line_trace(
             f"{name} axes", [frame_axes(s.T_root_sensor, size)[i] for s in calibration.sensors], color, 5)
           for i, (name, color) in enumerate(_AXES)),
@@ -120,10 +128,13 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
         _line_trace("2-D scan planes", _scan_circles(calibration, "disc", 1.8 * size, (0.0,)), BROWN, 2),
         _line_trace(
             "3-D LiDAR beams", _scan_circles(calibration, "rings", 1.5 * size, _BEAM_ELEVATIONS), SKY, 2),
-        _line_trace(
-            "boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
     ]  # fmt: skip
-    fixed = [trace for trace in fixed if len(trace["x"])]
+    around = [
+        _line_trace("boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
+        *_hall_traces(calibration),
+    ]
+    of_rig, around = ([trace for trace in traces if len(trace["x"])] for traces in (of_rig, around))
+    fixed = [*of_rig, *around]
     sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.measured_covariance[:3, :3])]
     limit, factor = 3 * size, _choose_enlargement(sensors, size)
     sizes = (1,) if factor == 1 else (1, factor)
@@ -135,10 +146,12 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
     layout = {
         "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
-        "scene": _make_scene(calibration, size),
+        # A hall is viewed from above and from near, as it is larger than the frames in it.
+        "scene": _make_scene(calibration, size, (0.75, -0.75, 0.8) if rig.is_network else (1.25, -1.25, 0.7)),
     }
-    view = _view_buttons(calibration, size, [trace.get("name") != "boards" for trace in fixed])
-    choosers, caption = [Chooser("What to show", view, 0)], ""
+    labels = ("the LiDARs", "with walls and walks") if rig.is_network else ("the rig", "with the boards")
+    view = _view_buttons(calibration, size, (len(of_rig), len(around)), labels)
+    choosers, caption = [Chooser("What to show", view, int(rig.is_network))], ""
     if sensors:
         scale = "to scale" if factor == 1 else Markup("enlarged <b>{} ×</b>").format(factor)
         caption = Markup("Ellipsoids are drawn {}.").format(scale)
@@ -222,6 +235,26 @@ def _disc_traces(calibration: Calibration, radius: float) -> list[dict[str, Any]
     return discs
 
 
+def _hall_traces(calibration: Calibration) -> list[dict[str, Any]]:
+    """Static points of each LiDAR of a network up to the highest of them, without ceilings, and walks."""
+    top = max(float(sensor.T_root_sensor[2, 3]) for sensor in calibration.sensors)
+    step = sum(len(view.points) for view in calibration.pictures.floor_views) // _MAX_POINTS + 1
+    names = [sensor.name for sensor in calibration.sensors]
+    traces = []
+    for view in calibration.pictures.floor_views:
+        points = se3.apply(calibration[view.sensor].T_root_sensor, view.points[::step].astype(np.float64))
+        x, y, z = points[points[:, 2] <= top].round(2).T
+        color = COLOR_CYCLE[names.index(view.sensor) % len(COLOR_CYCLE)]
+        shared = {"legendgroup": view.sensor, "hoverinfo": "skip"}
+        traces.append({
+            "type": "scatter3d", "mode": "markers", "name": escape_plotly(view.sensor), "x": x, "y": y, "z": z,
+            "marker": {"size": 1.6, "color": color, "line": {"width": 0}}, **shared,
+        })  # fmt: skip
+        walks = [np.pad(walk, ((0, 0), (0, 1))) for walk in view.tracks]
+        traces.append(_line_trace("walks", walks, color, 3) | {"showlegend": False, **shared})
+    return traces
+
+
 def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visible: bool) -> dict[str, Any]:
     vertices, triangles = ellipsoid_mesh(
         sensor.T_root_sensor[:3, 3], sensor.measured_covariance[:3, :3], exaggeration, limit
@@ -235,14 +268,14 @@ def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visi
     }  # fmt: skip
 
 
-def _make_scene(calibration: Calibration, size: float) -> dict[str, Any]:
+def _make_scene(calibration: Calibration, size: float, eye: tuple[float, float, float]) -> dict[str, Any]:
     ranges = _axis_ranges(calibration, size)
     named = {f"{n}axis": {**SCENE_AXIS, "title": {"text": f"{n}, m"}, "range": r}
              for n, r in zip("xyz", ranges, strict=True)}  # fmt: skip
     return {
         **named,
         "aspectmode": "cube",
-        "camera": {"eye": {"x": 1.25, "y": -1.25, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}},
+        "camera": {"eye": dict(zip("xyz", eye, strict=True)), "center": {"x": 0, "y": 0, "z": -0.12}},
     }
 
 
@@ -254,17 +287,19 @@ def _axis_ranges(calibration: Calibration, size: float) -> list[list[float]]:
     return [[float(middle - half), float(middle + half)] for middle in (low + high) / 2]
 
 
-def _view_buttons(calibration: Calibration, size: float, of_rig: Sequence[bool]) -> Buttons:
-    """The rig alone, with those traces that are of it, or everything."""
+def _view_buttons(
+    calibration: Calibration, size: float, counts: tuple[int, int], labels: tuple[str, str]
+) -> Buttons:
+    """The rig alone, with its number of traces, or everything, with those of what is around it."""
     ranges = zip("xyz", _axis_ranges(calibration, size), strict=True)
     rig = {f"{n}axis": {"range": r} for n, r in ranges}
     everything = {f"{n}axis": {"range": None, "autorange": True} for n in "xyz"}
     return {
-        "the rig": {"visible": list(of_rig), "layout": {"scene": {**rig, "aspectmode": "cube"}}},
-        "with the boards": {
-            "visible": [True] * len(of_rig),
-            "layout": {"scene": {**everything, "aspectmode": "data"}},
+        labels[0]: {
+            "visible": [True] * counts[0] + [False] * counts[1],
+            "layout": {"scene": {**rig, "aspectmode": "cube"}},
         },
+        labels[1]: {"visible": [True] * sum(counts), "layout": {"scene": {**everything, "aspectmode": "data"}}},
     }
 
 

@@ -1,7 +1,7 @@
 """The texts of the report, which depend on the target: a board, people who walk, or surroundings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from calgraph.config import Rig
 from calgraph.sensors.kinds import KINDS
@@ -130,6 +130,28 @@ double-click to reset, click in the legend to hide a scanner.""",
     },
 )
 
+SPACE_VOCABULARY = replace(
+    NETWORK_VOCABULARY,
+    no_items=NETWORK_VOCABULARY.no_items.replace("scanner", "LiDAR"),
+    items_caption=("A line is one track of one LiDAR. Hover over its ends for its time and outcome.", ""),
+    no_pairs=NETWORK_VOCABULARY.no_pairs.replace("scanner", "LiDAR"),
+    graph_caption=NETWORK_VOCABULARY.graph_caption.replace("scanner", "LiDAR"),
+    fit={"lidar3d": "distance from walls and floors"},
+    residuals_caption=NETWORK_VOCABULARY.residuals_caption.replace("scanner", "LiDAR"),
+    distances_caption="""\
+RMS distance of each LiDAR's tracks from the other LiDARs' tracks of the same person, under the final poses. Boxes
+hold half of the walks; dots are outliers. These are no errors of poses: each LiDAR measures the side of a person
+that faces it. The joint solution estimates the shape of the body between them.""",
+    coverage_caption="""\
+Coverage of each field of view by people; darker cells have more walks. Directions are those of the middle of their
+bodies in the LiDAR's frame.""",
+    view_caption="""\
+Measurements of all LiDARs from above: points are walls, lines are tracks. Walls or tracks of two colours that do
+not coincide indicate a wrong pose. The frame is that of the root, levelled, with its origin on the floor below
+it. Arrows are the LiDARs' x axes. Drag to zoom, double-click to reset, click in the legend to hide a LiDAR.""",
+    advice={grade: text.replace("scanner", "LiDAR") for grade, text in NETWORK_VOCABULARY.advice.items()},
+)
+"""Of networks with 3-D LiDARs."""
 
 DRIVE_VOCABULARY = Vocabulary(
     item="second",
@@ -170,4 +192,7 @@ def select_vocabulary(rig: Rig) -> Vocabulary:
     """The vocabulary for a rig's target."""
     if rig.is_drive:
         return DRIVE_VOCABULARY
-    return NETWORK_VOCABULARY if rig.is_network else BOARD_VOCABULARY
+    if rig.is_network:
+        planar = all(spec.kind == "lidar2d" for spec in rig.sensors.values())
+        return NETWORK_VOCABULARY if planar else SPACE_VOCABULARY
+    return BOARD_VOCABULARY

@@ -98,15 +98,17 @@ class BeamView:
 
 @dataclass(frozen=True, eq=False)
 class FloorView:
-    """Static background and tracks of one scanner of a network."""
+    """Static background and tracks of one scanner of a network; plane coordinates are x and y of the plan."""
 
     sensor: str
     background: Array
-    """(M, 2) static background, thinned, root frame, m."""
+    """(M, 2) static background, thinned, in the plan, m."""
     tracks: tuple[Array, ...]
-    """(N, 2) each, positions of a moving object, root frame, m."""
+    """(N, 2) each, positions of a moving object, in the plan, m."""
     times: tuple[Array, ...] = ()
     """(N,) each, times of the positions by the root's clock, s from the start of the recording."""
+    points: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    """(P, 3) static points of a 3-D LiDAR, thinned, in its frame, m; none of a 2-D scanner."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +169,9 @@ class Pictures:
     """By part of a drive."""
     drive_starts: tuple[DriveStart, ...] = ()
     """Of the sensors but the root."""
+    T_plan_root: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) pose of the root in the plan of a network, where z is up and the floor is at 0; identity for 2-D
+    scanners, whose root is level."""
 
 
 def correct_pictures(pictures: Pictures, corrections: Mapping[str, Correction]) -> Pictures:

@@ -38,6 +38,8 @@ _VIEW = {"sensor": INDEX, "capture": INDEX, "used": Column(dtype=np.bool_)}
 _CORNERS = Table("corners", {**_VIEW, "seen": Column((2,), ragged=True), "off": Column((2,), ragged=True)})
 _BEAMS = Table("beams", {**_VIEW, "seen": Column((3,), ragged=True), "off": Column(ragged=True)})
 _FLOOR = Table("floor", {"sensor": INDEX, "background": Column((2,), ragged=True)})
+_STATIC = Table("static", {"sensor": INDEX, "points": Column((3,), np.float32, ragged=True)})
+_PLAN = Table("plan", {"T_plan_root": Column((4, 4))})
 _WALKS = Table("walks", {
     "sensor": INDEX, "positions": Column((2,), ragged=True), "times": Column(ragged=True),
 })  # fmt: skip
@@ -89,6 +91,9 @@ def save_scene(pictures: Pictures, path: Path) -> None:
             for positions, times in zip(view.tracks, view.times or map(_nan_times, view.tracks), strict=True)
         ])
     )  # fmt: skip
+    if pictures.floor_views:
+        arrays |= _STATIC.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.floor_views])
+        arrays |= _PLAN.pack([{"T_plan_root": pictures.T_plan_root}])
     arrays |= _RANGES.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.beam_views])
     if pictures.drive_paths:
         arrays |= _DRIVEN.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.drive_views])
@@ -116,12 +121,12 @@ def load_scene(path: Path, limits: LimitSettings = LimitSettings()) -> Pictures:
             for row in _OUTLINES.unpack(arrays)
         )
         views = _board_views(arrays, names)
-        floor = _floor(arrays, names)
+        floor, T_plan_root = _floor(arrays, names)
         beams = _beam_views(arrays, names)
         drive = _drive(arrays, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return Pictures(snapshots, outlines, views, floor, beams, *drive)
+    return Pictures(snapshots, outlines, views, floor, beams, *drive, T_plan_root)
 
 
 def _sensors_with_pictures(pictures: Pictures) -> dict[str, None]:
@@ -162,20 +167,30 @@ def _board_views(arrays: Arrays, names: Sequence[str]) -> tuple[BoardView, ...]:
     return tuple(sorted(views, key=lambda view: (view.capture, view.sensor)))
 
 
-def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:
+def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[tuple[FloorView, ...], Array]:
+    """With ``T_plan_root``; identity in a file from before 3-D LiDARs in networks."""
+    static: dict[str, dict[str, Any]] = {}
+    T_plan_root = np.eye(4)
+    if f"{_PLAN.name}/T_plan_root" in arrays:
+        static = {row["sensor"]: {"points": row["points"]} for row in _STATIC.unpack_named(arrays, names)}
+        if len(plans := _PLAN.unpack(arrays)) != 1:
+            raise InputError(f"plan/T_plan_root: must be one pose, got {len(plans)}")
+        T_plan_root = plans[0]["T_plan_root"]
     walks: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
     for walk in _WALKS.unpack_named(arrays, names):
         if len(walk["times"]) != len(walk["positions"]):
             raise InputError("walks/times: each walk must have as many as positions")
         walks[walk["sensor"]].append(walk)
-    return tuple(
+    views = tuple(
         FloorView(
             **row,
+            **static.get(row["sensor"], {}),
             tracks=tuple(walk["positions"] for walk in walks[row["sensor"]]),
             times=tuple(walk["times"] for walk in walks[row["sensor"]]),
         )
         for row in _FLOOR.unpack_named(arrays, names)
     )
+    return views, T_plan_root
 
 
 def _beam_views(arrays: Arrays, names: Sequence[str]) -> tuple[BeamView, ...]:

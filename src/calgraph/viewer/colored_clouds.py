@@ -73,8 +73,14 @@ def color_clouds(
         for scan, of_scan in zip(scans, np.split(colors, cuts), strict=True):
             shown.setdefault(scan.sensor, []).append(Cloud(scan.points, of_scan))
     for view in calibration.pictures.floor_views:
-        points = floor_to_sensor_frame(calibration, view.sensor, view.background)
-        shown[view.sensor] = [Cloud(points, _uniform_color(sensor_color(calibration, view.sensor), len(points)))]
+        points = view.points
+        if not len(points):
+            points = floor_to_sensor_frame(calibration, view.sensor, view.background)
+        color = _uniform_color(sensor_color(calibration, view.sensor), len(points))
+        if state.coloring == "height":
+            x_root = se3.apply(T_root_sensor[view.sensor], points.astype(np.float64))
+            color = color_by_height(x_root @ up_direction(calibration), heights)
+        shown[view.sensor] = [Cloud(points, color)]
     for name, x_root in place_drive(calibration, state):
         color = _uniform_color(sensor_color(calibration, name), len(x_root))
         if state.coloring == "height":
@@ -104,6 +110,10 @@ def height_range(calibration: Calibration) -> tuple[float, float]:
     """Heights of the 2nd and 98th percentile of all points, m."""
     T = displaced_poses(calibration, ViewState())
     z = [to_root_frame(s, T) @ up_direction(calibration) for s in calibration.pictures.snapshots if s.sensor in T]
+    z += [
+        se3.apply(T[view.sensor], view.points.astype(np.float64)) @ up_direction(calibration)
+        for view in calibration.pictures.floor_views
+    ]
     z += [x_root @ up_direction(calibration) for _, x_root in place_drive(calibration, ViewState(0))]
     together = np.concatenate([np.zeros(1), *z])
     low, high = np.percentile(together, [2, 98])
@@ -124,9 +134,9 @@ def to_root_frame(snapshot: Snapshot, T_root_sensor: Mapping[str, Array]) -> Arr
 
 
 def floor_to_sensor_frame(calibration: Calibration, name: str, positions: Array) -> NDArray[np.float32]:
-    """(N, 3) in a scanner's frame of positions (N, 2) on the floor of the root's frame, m."""
-    x_root = np.pad(positions, ((0, 0), (0, 1)))
-    return se3.apply(se3.inverse(calibration[name].T_root_sensor), x_root).astype(np.float32)
+    """(N, 3) in a scanner's frame of positions (N, 2) on the floor of the plan, m."""
+    T_plan_sensor = calibration.pictures.T_plan_root @ calibration[name].T_root_sensor
+    return se3.apply(se3.inverse(T_plan_sensor), np.pad(positions, ((0, 0), (0, 1)))).astype(np.float32)
 
 
 def _uniform_color(color: tuple[int, int, int], count: int) -> Colors:

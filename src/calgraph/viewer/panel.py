@@ -140,8 +140,13 @@ class Panel:
 
     def _add_appearance(self) -> None:
         network = bool(self._calibration.pictures.floor_views)
+        solid = any(len(view.points) for view in self._calibration.pictures.floor_views)
         drive = bool(self._calibration.pictures.drive_paths)
-        usable = {words: c for words, c in _COLORINGS.items() if c == "sensor" or not network}
+        usable = {
+            words: c
+            for words, c in _COLORINGS.items()
+            if c == "sensor" or not network or (c == "height" and solid)
+        }
         if not self._cameras:
             usable.pop("camera images", None)
         self.coloring = self._gui.add_dropdown("colours", list(usable), visible=len(usable) > 1)

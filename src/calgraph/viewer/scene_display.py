@@ -115,7 +115,8 @@ class SceneDisplay:
     def _draw_ground(self) -> None:
         """Draws a 1 m grid at the height of the floor, of lines: viser's grid is slow without a graphics card."""
         vertical = up_direction(self._calibration)
-        level = 0.0 if self._calibration.pictures.floor_views else self._heights[0]
+        pictures = self._calibration.pictures
+        level = -pictures.T_plan_root[2, 3] if pictures.floor_views else self._heights[0]
         self._scene.add_line_segments(
             "/ground",
             ground_grid(vertical) + level * vertical,

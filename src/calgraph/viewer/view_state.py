@@ -46,9 +46,11 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def up_direction(calibration: Calibration) -> Array:
-    """(3,) the upward direction in the root frame: a camera's y points down, and a drive has a level world."""
+    """(3,) the upward direction in the root frame: a camera's y points down; drives and plans are level."""
     if calibration.pictures.drive_paths:
         return np.asarray(root_in_drive(calibration, 0)[2, :3])
+    if calibration.pictures.floor_views:
+        return calibration.pictures.T_plan_root[2, :3]
     return np.array([0.0, -1.0, 0.0] if KINDS[calibration[calibration.root].kind].optical else [0.0, 0.0, 1.0])
 
 

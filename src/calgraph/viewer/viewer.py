@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from calgraph.errors import InputError
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
 from calgraph.viewer.colored_clouds import place_drive
@@ -73,10 +73,14 @@ def initial_view(calibration: Calibration) -> tuple[Array, Array]:
     origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
     vertical = up_direction(calibration)
     if calibration.pictures.floor_views:
-        points = np.concatenate([origins[:, :2], *(view.background for view in calibration.pictures.floor_views)])
+        T_plan_root = calibration.pictures.T_plan_root
+        on_plan = se3.apply(T_plan_root, origins)[:, :2]
+        points = np.concatenate([on_plan, *(view.background for view in calibration.pictures.floor_views)])
         low, high = np.percentile(points, [1, 99], axis=0)
         middle, extent = np.append((low + high) / 2, 0.0), float(np.max(high - low))
-        return middle + extent * np.array([0.0, -0.45, 0.85]), middle
+        eye = middle + extent * np.array([0.0, -0.45, 0.85])
+        position, target = se3.apply(se3.inverse(T_plan_root), np.stack([eye, middle]))
+        return position, target
     if calibration.pictures.drive_paths:
         points = np.concatenate([origins, *(x_root for _, x_root in place_drive(calibration, ViewState(0)))])
         low, high = np.percentile(points, [1, 99], axis=0)

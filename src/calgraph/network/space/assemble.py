@@ -1,7 +1,7 @@
 """Assembles the Calibration of a network in space: poses with verdicts, and what contradicts them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,17 +10,19 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2, se3
 from calgraph.network.checks.assemble import (
     build_edge,
+    build_floor_views,
     build_walk_rows,
     explain_unconnected,
     find_parents,
     match_across_scanners,
 )
-from calgraph.network.pairs.synchronized_tracks import resample_tracks
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.network.space.joint import SpaceSolution
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.start import SpaceStart
+from calgraph.network.space.static_surfaces import thin_points
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
-from calgraph.result import Calibration, Evidence, FitError, SensorPose, Verdict
+from calgraph.result import Calibration, Evidence, FitError, FloorView, Pictures, SensorPose, Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.solver.connected_parts import label_parts
@@ -38,6 +40,8 @@ _RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
 _MAX_SQUARED_STEP = 0.1
 # Agreement of maps below which nothing but people shows that a pose is right.
 _MIN_AGREEMENT = 2.0
+# Static points of a sensor that are kept for pictures: walls of a hall are about 0.3 m between points.
+_MAX_POINTS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,27 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             fit=_describe_fit(names, solution) if solution else {},
             initial_poses={name: T_root_world @ start.states[name].T_root_sensor for name in names if solution},
         ),
+        pictures=Pictures(
+            floor_views=_build_views(tracked, samples, planar, result),
+            T_plan_root=np.asarray(states[0].T_root_sensor),
+        ),
     )
+
+
+def _build_views(
+    tracked: Mapping[str, ScannerTracks | Rejected],
+    samples: Mapping[str, TrackSamples],
+    planar: Mapping[str, Array],
+    result: SpaceResult,
+) -> tuple[FloorView, ...]:
+    """Static points and walks of the connected sensors, thinned."""
+    followed = {name: one for name, one in tracked.items() if isinstance(one, ScannerTracks)}
+    views = []
+    for view in build_floor_views(followed, samples, planar, result.begin):
+        one = result.observed[view.sensor]
+        points = thin_points(one.static.points) if isinstance(one, SpaceObservations) else np.zeros((0, 3))
+        views.append(replace(view, points=points[:: len(points) // _MAX_POINTS + 1].astype(np.float32)))
+    return tuple(views)
 
 
 def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:

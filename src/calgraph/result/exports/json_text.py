@@ -47,6 +47,7 @@ def to_json(calibration: Calibration) -> str:
             {"sensor": view.sensor, "background": view.background, "walks": view.tracks}
             for view in pictures.floor_views
         ],
+        "T_plan_root": pictures.T_plan_root,
     })  # fmt: skip
 
 
