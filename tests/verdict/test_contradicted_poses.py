@@ -82,6 +82,12 @@ def test_a_pose_that_is_only_uncertain_fails_what_is_far_off() -> None:
     assert found.failed == ("left",)
 
 
+def test_what_an_uncertainty_comes_from_contradicts_nothing() -> None:
+    error = "position ±8 mm (95 %) of left exceeds the tolerance of 5 mm"
+    reason = f"{error}; the largest source of it: range errors (98 %); measure the range errors"
+    assert compare(calibrated(0.004, reason), given("left", 5 * BUMP)).failed == ("left",)
+
+
 def test_what_would_decide_is_a_longer_recording() -> None:
     found = compare(calibrated(0.004), given("left", 0.0 * BUMP))
     assert "a recording that is at least 2.5 times as long" in found.remedy

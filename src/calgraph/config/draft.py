@@ -59,8 +59,8 @@ _PEOPLE = """\
 # instead, state it here: calgraph board prints its block.
 target:
   kind: people
-# Distances between LiDARs are as good as their ranges: compare these with known distances, and state what is left
-# in m and relative, for each LiDAR, as uncertainty: {{range_bias: 0.005, range_scale: 0.0005}}.
+# Distances between LiDARs are as good as the scale of their ranges: measure known distances, and state for each
+# what is left of the relative error, as uncertainty: {{range_scale: 0.0005}}; 0.003 is assumed.
 """
 _OPTIONAL = """\
 # These can take part, too: take their # away. Cameras need boards that are fixed in the room, as target.boards.\

@@ -95,6 +95,7 @@ def grade_pose(
     return Verdict("weak", _join([*stated, *more])) if contradictions else Verdict("good")
 
 
+_LARGEST = "the largest source"
 # Share of a variance with which the largest source is named alone; otherwise this many are.
 _LARGE_SHARE, _MAX_SOURCES = 0.5, 2
 
@@ -106,7 +107,12 @@ def describe_largest(shares: Mapping[str, Array], axis: int, what: str) -> list[
     largest = sorted(shares, key=lambda source: -shares[source][axis])[:_MAX_SOURCES]
     count = 1 if shares[largest[0]][axis] >= _LARGE_SHARE else len(largest)
     named = (f"{source} ({100 * shares[source][axis]:.0f} %)" for source in largest[:count])
-    return [f"the largest source{'s' * (count > 1)} of {what}: {', '.join(named)}"]
+    return [f"{_LARGEST}{'s' * (count > 1)} of {what}: {', '.join(named)}"]
+
+
+def names_sources(clause: str) -> bool:
+    """Whether a clause of a verdict is from :func:`describe_largest`."""
+    return clause.startswith(_LARGEST)
 
 
 def describe_remedy(remedy: Remedy, tolerance: Tolerance, limits: Array) -> str:

@@ -1,0 +1,40 @@
+"""Networks of 3-D LiDARs from messages: poses and clocks of a simulated hall."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array, se3
+from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import compare_network_extrinsics
+from calgraph.result import ExtrinsicsFile
+from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.simulation import HallScenario, simulate_hall
+
+
+def given(poses: Mapping[str, Array], moved: str) -> ExtrinsicsFile:
+    """The poses (4, 4) by sensor, the root first, with one sensor 0.5 m higher."""
+    root, *others = poses
+    up = np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0])
+    links = {name: FrameLink(root, se3.retract(poses[name], up * (name == moved))) for name in others}
+    return ExtrinsicsFile(Path("hall.urdf"), FrameTree("hall.urdf", links))
+
+
+@pytest.mark.slow
+def test_lidars_of_a_hall_are_calibrated_and_checked() -> None:
+    """Bodies and walls that the estimator does not know; clocks up to 50 ms apart."""
+    hall = simulate_hall(HallScenario(5, duration=25.0, lidars=("xt32",) * 3))
+    file = given(hall.truth.T_root_sensor, "lidar_3")
+    calibration, found = compare_network_extrinsics(hall.rig, hall.recording, file, NetworkOptions())
+    assert found.failed == ("lidar_3",)
+    assert calibration.evidence.unconnected == {}
+    for k, sensor in enumerate(calibration.sensors[1:], start=1):
+        block = slice(6 * k, 6 * k + 6)
+        error = se3.difference(sensor.T_root_sensor, hall.truth.T_root_sensor[sensor.name])
+        stddev = np.sqrt(np.diag(calibration.joint_covariance[block, block]))
+        assert np.abs(error / stddev).max() < 4
+        assert np.linalg.norm(error[:3]) < 0.06
+        assert np.degrees(np.linalg.norm(error[3:])) < 0.3
+        assert sensor.clock_offset == pytest.approx(hall.truth.clock_offsets[sensor.name], abs=0.05)
