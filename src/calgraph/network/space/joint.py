@@ -38,10 +38,10 @@ from calgraph.verdict.state_changes import PERIOD, Change, find_changes
 
 # Distances up to which tracks are of one person, and points of one surface, m, by iteration: from errors of the
 # start to those of bodies and of noise.
-_PERSON_GATES = (0.5, 0.4, 0.3, *[0.3] * 9)
-_SURFACE_GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 7)
-# Last steps, on persons and surfaces that stay the same, so that they converge.
-_FIXED_STEPS = 6
+_PERSON_GATES = (0.5, 0.4, 0.3, *[0.3] * 13)
+_SURFACE_GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 11)
+# Last steps, on persons and surfaces that stay the same: after six, one of eight halls has not converged.
+_FIXED_STEPS = 10
 # Start values of standard deviations: of samples over their first guesses, and of their views, m; least ones.
 _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003

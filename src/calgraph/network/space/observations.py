@@ -37,6 +37,16 @@ class BodyTrack:
     """(T,) points."""
 
 
+@dataclass(frozen=True)
+class StaticStep:
+    """A moment after which what stands still is at other ranges: the sensor moved."""
+
+    time: float
+    """By the sensor's clock, s."""
+    size: float
+    """Median change of ranges, m."""
+
+
 @dataclass(frozen=True, eq=False)
 class SpaceObservations:
     """Of one sensor."""
@@ -51,3 +61,4 @@ class SpaceObservations:
     tracks: tuple[BodyTrack, ...]
     coverage: Array
     """(W, 2) s, when it measured."""
+    step: StaticStep | None = None

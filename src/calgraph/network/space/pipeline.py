@@ -75,6 +75,7 @@ def calibrate_in_space(
     observed, frames = _observe(rig, recording, options, monitor, progress)
     findings = [*findings, *monitor.findings()]
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
+    findings += _describe_steps(rig, measured, recording.start)
     rng = np.random.default_rng(options.seed)
     start = start_in_space(rig, measured, options, rng, progress)
     findings += [*start.corrected.findings, *collect_network_findings({}, start.initialization, recording.start)]
@@ -114,6 +115,19 @@ def _lidar_spec(name: str, spec: SensorSpec) -> Lidar3dSpec:
             "other sensors a separate rig.yaml"
         )
     return spec
+
+
+def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: float) -> list[Finding]:
+    """A finding for each sensor that moved during the recording."""
+    return [
+        Finding(
+            f"{name} moved {one.step.time - begin:.0f} s from the start: ranges of what stands still changed by "
+            f"{1000 * one.step.size:.0f} mm; fix it firmly, and record again",
+            tuple(measured) if name == rig.root else (name,),
+        )
+        for name, one in measured.items()
+        if one.step is not None
+    ]
 
 
 def _solve(
