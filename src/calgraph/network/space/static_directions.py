@@ -44,8 +44,8 @@ _FILLED_CELLS = 3
 _PERIOD, _MIN_COMPARED, _MIN_DIRECTIONS = 50, 8, 200
 # Ranges are multiples of this, m: their variance may be zero.
 _RANGE_QUANTUM = 0.002
-# Median change of mean ranges in standard deviations from which a sensor moved: it is 0.67 of normal errors, 0.58 to
-# 0.71 in 13 simulated sensors that rest, also where chairs move and in rain; 1.7 after 6 mm and 0.26°.
+# Median change of mean ranges in standard deviations from which a sensor moved: it is 0.67 of normal errors, 0.58
+# to 0.71 in 13 simulated sensors that rest, also where chairs move and in rain; 1.7 after 6 mm and 0.26°.
 _MOVED = 1.2
 # Longest time between two sweeps within a coverage interval, s: in a longer one a person may cross the view.
 _MAX_GAP = 0.5
