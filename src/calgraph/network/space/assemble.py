@@ -32,7 +32,7 @@ from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max
 _ADVICE = "let people walk farther and in more directions where the views of LiDARs overlap"
 _RANGE_ADVICE = (
     "measure the range errors of the LiDARs at known distances, and state what is left in rig.yaml "
-    "(uncertainty: range_bias, range_scale)"
+    "(uncertainty: range_scale, range_bias)"
 )
 # Sources of uncertainty, and the share of ranges in the most uncertain axis with which they are what to improve.
 _RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5

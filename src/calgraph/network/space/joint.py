@@ -45,9 +45,6 @@ _FIXED_STEPS = 10
 # Start values of standard deviations: of samples over their first guesses, and of their views, m; least ones.
 _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
-# By how much the scatter of clusters is multiplied: errors of bodies and floors are the same in several. In
-# 11 simulated halls the mean squared error over the covariance is 1.6 with 1, and 0.5 with 4.
-_SCATTER_FACTOR = 2.0
 # Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the
 # probability with which a difference is found where there is none.
 _PLANAR = np.array([0, 1, 5])
@@ -163,7 +160,7 @@ def solve_space(
         sum_clusters(along, _label_rings(shared)),
     ]
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
-    covariance = widen_by_clusters(inverse, clusters, _SCATTER_FACTOR)[:count, :count]
+    covariance = widen_by_clusters(inverse, clusters)[:count, :count]
     world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
     left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
     equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
@@ -235,7 +232,7 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
         # What independent groups of people contribute scatters more than independent errors.
         sums = sum_clusters(people.scores[:, rows] - people.scores @ response, people.source)
         inverse = np.linalg.inv(information)
-        covariance = widen_by_clusters(inverse, [sums], _SCATTER_FACTOR)
+        covariance = widen_by_clusters(inverse, [sums])
         statistic = float(size @ np.linalg.solve(covariance, size))
         found.append(
             Contradiction(

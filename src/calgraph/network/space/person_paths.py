@@ -44,7 +44,7 @@ SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
 _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
 # Height in the middle of the upper body, and usual distance, m.
 _MIDDLE, _USUAL_DISTANCE = 1.35, 8.0
-# Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks sways with
+# Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks swings with
 # 1 to 2 m/s² at 2 Hz.
 _KNOTS, _ACCELERATION = 0.2, 15.0
 # Time for which errors of shape are taken as constant, s: two steps.

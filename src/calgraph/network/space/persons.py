@@ -17,7 +17,7 @@ _MIN_COMMON = 0.5
 _MAX_OVERLAP = 0.15
 # Time within which a second sensor has to measure a person for a sample to count, s: some sweeps.
 _SUPPORT = 0.25
-# A person whom nobody measures for longer is a new one, s; so is one who stays for longer than the second time,
+# A person whom no sensor measures for longer is a new one, s; so is one who stays for longer than the second time,
 # which bounds the size of the equations.
 _MAX_GAP, _MAX_STAY = 1.0, 60.0
 
@@ -153,7 +153,7 @@ def _measure_distance(times: Array, places: Array, a: Index, b: Index) -> float:
 
 
 def _contradict(first: Sequence[int], second: Sequence[int], sensor: Index, span: Array) -> bool:
-    """Whether one sensor measured both groups of tracks at once."""
+    """Whether one sensor measured both groups of tracks at the same time."""
     common = np.minimum(span[first, None, 1], span[None, second, 1]) - np.maximum(
         span[first, None, 0], span[None, second, 0]
     )
