@@ -172,7 +172,7 @@ def solve_space(
         contradiction=_compare_people(people, H, free),
         changes=find_changes(equations, free, ends, places - places[0]),
         begin=float(ends[0] - PERIOD),
-        squared_step=float(step @ H @ step),
+        squared_step=float(step[:count] @ np.linalg.solve(covariance, step[:count])),
     )  # fmt: skip
 
 
