@@ -90,3 +90,14 @@ def test_a_clock_that_jumps_is_named() -> None:
     assert change.time is not None
     assert abs(change.time - 20.0) < 3.1
     assert abs(change.size[0]) > 0.05
+
+
+def test_a_network_without_common_people_has_no_changes() -> None:
+    """Walls alone place its sensors; clocks stay open."""
+    scene = build_scene(4, duration=4.0, people=0)
+    solution = solve(scene)
+    assert not solution.persons
+    assert list(solution.changes) == []
+    for error, covariance in errors_of(solution, scene):
+        assert np.linalg.norm(error[:3]) < 0.05
+        assert np.sqrt(covariance[6, 6]) > 0.09

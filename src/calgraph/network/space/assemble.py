@@ -164,6 +164,8 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     reasons = []
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
+    if not any((one.sensor == k).any() for one in solution.persons):
+        reasons.append("no person was measured by it and another LiDAR at the same time and place")
     between = solution.contradiction[k]
     if between.significance > 1:
         reasons.append(

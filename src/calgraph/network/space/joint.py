@@ -162,16 +162,21 @@ def solve_space(
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
     world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
-    left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
-    equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
-    places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
+    changes: list[Change] = []
+    begin = 0.0
+    if persons:
+        left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
+        equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
+        places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
+        changes = find_changes(equations, free, ends, places - places[0])
+        begin = float(ends[0] - PERIOD)
     return SpaceSolution(
         states, free, covariance, _condition_on_ranges(covariance, free),
         persons, people, shared, noise, body_noise, body,
         agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
         contradiction=_compare_people(people, H, free),
-        changes=find_changes(equations, free, ends, places - places[0]),
-        begin=float(ends[0] - PERIOD),
+        changes=changes,
+        begin=begin,
         squared_step=float(step[:count] @ np.linalg.solve(covariance, step[:count])),
     )  # fmt: skip
 

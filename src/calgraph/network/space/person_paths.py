@@ -2,12 +2,13 @@
 
 For the sample x of a person at time t, measured by sensor i along the horizontal unit vector e from it, n across,
 
-    radial      r = e · (x - c(t - o_i)) + a - a' cos 2φ - b_r
-    tangential  r = n · (x - c(t - o_i)) - b_t
+    radial      r = e · (x - c(t - o_i) - l h w) + a - a' cos 2φ + a" cos φ + s h + d ρ - b_r
+    tangential  r = n · (x - c(t - o_i) - l h w) - b_t
 
-with the path c, a spline, the depth a of the axis behind the front and its change a' with the angle φ between view
-and walk, and errors of shape b that are the same for all samples of a view: of one track, during a second. Errors
-of views are eliminated in closed form, then path and body of each person.
+with the path c, a spline; the depth a of the axis behind the front, its changes a' and a" with the angle φ between
+view and walk w, s with the height h over the middle of the body, and d with the distance ρ; the lean l; and errors
+of shape b that are the same for all samples of a view: of one track, during a second. Errors of views are
+eliminated in closed form, then path and body of each person.
 
 Sources: Harville, "Maximum likelihood approaches to variance component estimation", 1977, for the variances;
 Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
@@ -45,7 +46,7 @@ _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
 # Height in the middle of the upper body, and usual distance, m.
 _MIDDLE, _USUAL_DISTANCE = 1.35, 8.0
 # Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks swings with
-# 1 to 2 m/s² at 2 Hz.
+# 1 to 2 m/s² at 2 Hz. Smaller ones bind where little is measured, and are felt by what is measured well.
 _KNOTS, _ACCELERATION = 0.2, 15.0
 # Time for which errors of shape are taken as constant, s: two steps.
 _VIEW = 1.0
