@@ -100,6 +100,8 @@ def find_persons(samples: BodySamples, states: Sequence[SensorState], gate: floa
         states: of these.
         gate: median distance of two tracks of one person at most, m.
     """
+    if not len(samples.time):
+        return []
     times = date_samples(samples, states)
     at = place_samples(samples, states)[:, :2]
     person = _join_tracks(samples, times, at + FRONT * point_outward(samples, states, at), gate)
