@@ -74,11 +74,11 @@ def test_tracks_are_at_the_fronts_of_people_and_static_points_stand_still() -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_network_starts_within_15_cm(seed: int) -> None:
     """Two to four LiDARs of 16 and 32 rings, some upside down, with other clocks."""
     rng = np.random.default_rng(seed)
-    hall = build_hall(2 + seed // 2 % 3, DURATION, rng)
+    hall = build_hall(2 + seed, DURATION, rng)
     lidars = build_lidars(2 + seed % 3, (16, 32)[seed % 2], rng)
     observed = {name: observe(hall, lidar, rng) for name, lidar in lidars.items()}
     rig = Rig(root="lidar_0", target=People(), sensors={name: Lidar3dSpec(topic=name) for name in lidars})
