@@ -38,7 +38,8 @@ _RANGE_ADVICE = (
 _RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
-# Agreement of maps below which nothing but people shows that a pose is right.
+# Agreement of maps below which nothing but people shows that a pose is right: of 20 right pairs in simulated halls
+# it is 5 to 21 with 16 rings, and 18 to 68 with 32; what wrong ones have was not measured.
 _MIN_AGREEMENT = 2.0
 # Static points of a sensor that are kept for pictures: walls of a hall are about 0.3 m between points.
 _MAX_POINTS = 4000
