@@ -162,6 +162,7 @@ ELSEWHERE = {
     "rig/bundle/problem.py": "Files that calgraph wrote",
     "rig/bundle/problem_file.py": "Files that calgraph wrote",
     "result/calibration_reading.py": "Files that calgraph wrote",
+    "result/covariance_entries.py": "Files that calgraph wrote",
     "result/scene.py": "Files that calgraph wrote",
     "result/pictures.py": "Files that calgraph wrote",
     "io/archive.py": "Files that calgraph wrote",

@@ -18,7 +18,7 @@ from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.strict_model import StrictModel
-from calgraph.result.calibration_reading import check_semidefinite, check_symmetric
+from calgraph.result.covariance_entries import check_semidefinite, check_symmetric
 from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.result.prior_file import PriorFile, has_inverse
 from calgraph.rig.bundle.priors import PosePrior, RigidFile, RigidGroup, resolve_prior_poses
