@@ -20,11 +20,17 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.points_on_surfaces import Association, associate_points, linearize_points, locate_points
+from calgraph.drive.points_on_surfaces import (
+    Association,
+    associate_points,
+    collect_points,
+    linearize_points,
+    locate_points,
+)
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.geometry import Array, Index, se_n
 from calgraph.solver.change_tests import PeriodEquations
-from calgraph.solver.clustered_covariance import ClusteredScores, widen_covariance
+from calgraph.solver.clustered_covariance import ClusteredScores, label_rings, widen_covariance
 from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
@@ -118,6 +124,8 @@ def adjust_drive(
         # The last steps are on the same surfaces, so that they converge.
         if k < len(_GATES) - _FIXED_STEPS:
             associations = [associate_points(part, states, gate) for part in parts]
+        # Its memory, half of all, is free for that of the next ones.
+        reduced.clear()
         reduced = [
             _reduce_part(part, states, noise, association, free, shared)
             for part, association in zip(parts, associations, strict=True)
@@ -237,6 +245,8 @@ class _Reduced:
     """(N,) of the points on surfaces, s."""
     place: Array
     """(N, n) of these surfaces, m."""
+    ring: Index
+    """(N,) of these points, as of :func:`label_rings`."""
     control_size: int
     """Number C of unknowns of the trajectory, which are the first."""
 
@@ -253,7 +263,7 @@ class _Reduced:
         """What points contribute to the gradient, first by the parameters of sensors; the trajectory follows."""
         follow = self.response()[: self.control_size]
         along = np.concatenate([follow, np.eye(count, follow.shape[1])])
-        return ClusteredScores(self.surfaces.scores.along(along), self.time, self.place)
+        return ClusteredScores(self.surfaces.scores.along(along), self.time, self.place, self.ring)
 
 
 def _move_part(part: DrivePart, change: Array) -> DrivePart:
@@ -302,6 +312,7 @@ def _reduce_part(
     With several periods, each sensor has parameters of its own in each of them: (S, periods) of its free ones.
     """
     at = linearize_points(part, states, association)
+    ring = label_rings(at.sensor, collect_points(part, states, association))
     free = np.repeat(free, periods, axis=0)
     at = replace(at, sensor=at.sensor * periods + _number_periods(part, at.time, periods))
     noise = replace(noise, white=np.repeat(noise.white, periods))
@@ -322,7 +333,7 @@ def _reduce_part(
         H_p - H_cp.T @ eliminated[:, :-1],
         g[C:] - H_cp.T @ eliminated[:, -1],
         factor, H_cp, g[:C], on_surfaces, at.time, association.surfaces.center[at.surface],
-        control.size,
+        ring, control.size,
     )  # fmt: skip
 
 

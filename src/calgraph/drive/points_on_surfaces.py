@@ -62,7 +62,7 @@ def locate_points(part: DrivePart, states: Sequence[SensorState]) -> list[tuple[
 
 def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:
     """The residuals of the points of a part that are on surfaces; see :func:`meet_surfaces`."""
-    used = [select_inside(part, k, state) & (association.cell[k] >= 0) for k, state in enumerate(states)]
+    used = _select_used(part, states, association)
     cell, surfaces = (
         np.concatenate([of[one] for of, one in zip(association.cell, used, strict=True)]),
         association.surfaces,
@@ -86,6 +86,19 @@ def linearize_points(part: DrivePart, states: Sequence[SensorState], association
         (at.root.basis[:, :, None] * by_pose[:, None, :]).reshape(len(cell), 4 * by_pose.shape[1]),
         np.einsum("ni,nij->nj", normals, at.by_sensor),
     )
+
+
+def collect_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> Array:
+    """The points (N, n) of :func:`linearize_points`, sensor by sensor, in the frames of these, m."""
+    used = _select_used(part, states, association)
+    return np.concatenate([one.points[some] for one, some in zip(part.points, used, strict=True)])
+
+
+def _select_used(
+    part: DrivePart, states: Sequence[SensorState], association: Association
+) -> list[NDArray[np.bool_]]:
+    """By sensor, (N,) which of its points are on surfaces."""
+    return [select_inside(part, k, state) & (association.cell[k] >= 0) for k, state in enumerate(states)]
 
 
 def _number_views(part: DrivePart, times: Array) -> Index:

@@ -1,8 +1,9 @@
-"""The covariance of a solution with errors that belong together: those of one time, and those of one place.
+"""The covariance of a solution with errors that belong together: those of a time, of a place, and of a ring.
 
 The adjustment takes view biases as independent. They are not: a pose of the trajectory that is wrong moves all
-points of its time, and furniture, frames and doors mislead all sensors that pass them. Sums of the points'
-contributions to the gradient, over intervals of time and over blocks of the world, scatter accordingly.
+points of its time, furniture, frames and doors mislead all sensors that pass them, and the errors of a ring's
+elevation and ranges last for the whole recording. Sums of the points' contributions to the gradient, over
+intervals of time, over blocks of the world and over rings, scatter accordingly.
 
 Sources: Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986, for the covariance
 from clusters; Cameron, Gelbach and Miller, "Robust inference with multiway clustering", 2011, for several kinds.
@@ -24,6 +25,8 @@ _INTERVAL, _BLOCK = 5.0, 3.0
 # 1.2. In 11 simulated halls with LiDARs it is 1.6 with 1 and 0.5 with 4; where ranges are stated to be exact, 25 s
 # are 4 with 2.
 SCATTER_FACTOR = 4.0
+# Height of a row of elevation, rad (0.4°): less than the distance of rings of most LiDARs.
+_ROW = float(np.radians(0.4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,34 +39,35 @@ class ClusteredScores:
     """(N,) s."""
     place: Array
     """(N, n) m."""
+    ring: Index
+    """(N,) as of :func:`label_rings`, the same in all parts."""
 
 
 def widen_covariance(covariance: Array, parts: Sequence[ClusteredScores]) -> Array:
-    """The covariance (P, P) of independent errors, with the scatter of contributions by time and by place."""
+    """The covariance (P, P) of independent errors, with the scatter of contributions by time, place and ring."""
     kinds = [
-        np.concatenate([sum_clusters(part.scores, label(part)) for part in parts])
-        for label in (_label_times, _label_places)
+        np.concatenate([sum_clusters(part.scores, label) for part, label in zip(parts, labels, strict=True)])
+        for labels in ([label_times(one.time) for one in parts], [label_places(one.place) for one in parts])
     ]
-    return widen_by_clusters(covariance, kinds)
+    rings = np.zeros((1 + max(int(part.ring.max(initial=-1)) for part in parts), len(covariance)))
+    for part in parts:
+        np.add.at(rings, part.ring, part.scores)
+    return widen_by_clusters(covariance, kinds, rings)
 
 
-def widen_by_clusters(covariance: Array, kinds: Sequence[Array]) -> Array:
+def widen_by_clusters(covariance: Array, kinds: Sequence[Array], lasting: Array | None = None) -> Array:
     """The covariance (P, P) of independent errors, with the scatter of contributions to the gradient.
 
     Args:
         covariance: of independent errors.
         kinds: (K, P) sums of contributions over independent clusters, of each way to cluster them.
+        lasting: (K, P) those over clusters that last for the whole recording, and of which all were measured:
+            their scatter counts once.
     """
-    meat = sum((_sum_squares(sums) for sums in kinds), np.zeros_like(covariance))
-    return np.asarray(covariance + SCATTER_FACTOR * covariance @ meat @ covariance)
-
-
-def _label_times(part: ClusteredScores) -> Index:
-    return label_times(part.time)
-
-
-def _label_places(part: ClusteredScores) -> Index:
-    return label_places(part.place)
+    meat = SCATTER_FACTOR * sum((_sum_squares(sums) for sums in kinds), np.zeros_like(covariance))
+    if lasting is not None:
+        meat = meat + _sum_squares(lasting)
+    return np.asarray(covariance + covariance @ meat @ covariance)
 
 
 def label_times(time: Array) -> Index:
@@ -76,6 +80,13 @@ def label_places(place: Array) -> Index:
     return np.unique(np.floor(place / _BLOCK), axis=0, return_inverse=True)[1].ravel()
 
 
+def label_rings(sensor: Index, points: Array) -> Index:
+    """(N,) number of the sensor (N,) and of the row of elevation, 0.4° high, of its points (N, n) in its frame."""
+    height = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
+    elevation = np.arctan2(height, np.hypot(points[:, 0], points[:, 1]))
+    return np.asarray(sensor * (int(np.pi / _ROW) + 1) + (elevation + np.pi / 2) // _ROW, dtype=np.intp)
+
+
 def sum_clusters(scores: Array, label: Index) -> Array:
     """(K, P) sums of scores (N, P) by label (N,)."""
     sums = np.zeros((int(label.max(initial=-1)) + 1, scores.shape[1]))
@@ -84,6 +95,6 @@ def sum_clusters(scores: Array, label: Index) -> Array:
 
 
 def _sum_squares(sums: Array) -> Array:
-    """(P, P) expected square of the sum of independent clusters (K, P)."""
-    count = len(sums)
+    """(P, P) expected square of the sum of independent clusters (K, P), some of which may be empty."""
+    count = np.count_nonzero(sums.any(axis=1))
     return np.asarray(sums.T @ sums * (count / max(count - 1, 1)))

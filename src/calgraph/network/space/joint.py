@@ -23,14 +23,19 @@ from calgraph.network.space.person_paths import (
     reduce_person,
 )
 from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
-from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
     find_shared_surfaces,
     reduce_surfaces,
     thin_points,
 )
-from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
+from calgraph.solver.clustered_covariance import (
+    label_places,
+    label_rings,
+    label_times,
+    sum_clusters,
+    widen_by_clusters,
+)
 from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
@@ -157,7 +162,7 @@ def solve_space(
         sum_clusters(people.scores, label_times(people.time)),
         sum_clusters(people.scores, people.source),
         sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
-        sum_clusters(along, _label_rings(shared)),
+        sum_clusters(along, label_rings(shared.sensor, shared.points)),
     ]
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
@@ -206,13 +211,6 @@ def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) ->
         np.concatenate([np.zeros(0), *(one.view_time for one in persons)]),
         np.concatenate([none, *(one.view_sensor + len(free) * k for k, one in enumerate(persons))]),
     )  # fmt: skip
-
-
-def _label_rings(shared: SharedSurfaces) -> Index:
-    """(N,) number of the sensor and ring of each static point: errors of rings are the same everywhere."""
-    row = find_rows(shared.points)
-    label = np.unique(shared.sensor * (int(row.max(initial=0)) + 1) + row, return_inverse=True)[1]
-    return np.asarray(label.ravel(), dtype=np.intp)
 
 
 def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
