@@ -23,8 +23,7 @@ def calibrate(world: World) -> Calibration:
 
 
 def right_world(rig: str, impossible: str, seed: int = 0) -> World:
-    stated, captures, T_true = simulate(rig, seed)
-    return World(stated, captures, impossible, T_true)
+    return World(*simulate(rig, seed), impossible)
 
 
 def with_root(world: World, root: str) -> World:
@@ -136,7 +135,7 @@ def test_an_upside_down_scanner_and_an_upside_down_image_are_as_good_as_others()
 @pytest.mark.parametrize("rig", ["five", "chain", "pair", "cameras"])
 def test_nothing_is_left_out_of_right_rigs(rig: str) -> None:
     for seed in range(2):
-        stated, captures, _ = simulate(rig, seed)
+        stated, captures = simulate(rig, seed)
         rng, settings = np.random.default_rng(seed), stated.settings.pairwise.board
         pairs = estimate_pairs(captures.detections, stated.board_size, rng, settings=settings)
         admitted = admit_sensors(stated, captures, pairs, rng, RigOptions())
