@@ -2,8 +2,6 @@
 
 python benchmarks/efficiency.py --runs 200                     # one rig, noise drawn 200 times
 python benchmarks/efficiency.py --runs 50 --scenarios 4        # four rigs, 50 times each
-python benchmarks/efficiency.py --runs 200 --disturbed 0.2     # against the same runs without slips
-python benchmarks/efficiency.py --level recordings --runs 20   # through images and clouds, another rig each time
 python benchmarks/efficiency.py --runs 200 --stated 2          # rig.yaml states twice the noise that there is
 python benchmarks/efficiency.py --systematic drawn             # systematic errors drawn from the priors
 python benchmarks/efficiency.py --systematic exact             # none, and rig.yaml states so: uncertainty 0
@@ -25,8 +23,7 @@ import numpy as np
 from pydantic import BaseModel
 from scipy.stats import binomtest, chi2, norm
 
-from calgraph.boards.detections import BoardCorners
-from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.board_observations import BoardObservation
 from calgraph.rig.bundle.board_outlines import add_outlines
@@ -41,7 +38,7 @@ from calgraph.simulation import GroundTruth, RigScenario, World, build_world
 from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_draws import draw_errors
 from rig_errors import ModelErrors
-from simulated import poses_of, recorded
+from simulated import poses_of
 from worlds import grouped, make_parser, run_worlds
 
 ESTIMATORS = "pairwise", *get_args(Estimator)
@@ -81,11 +78,7 @@ class Recording:
 class Draw:
     """What determines a recording."""
 
-    level: str
-    """Detections, or whole recordings."""
     captures: int
-    disturbed: float
-    """Share of captures in which the board slips."""
     stated: float
     """Stated noise over true noise."""
     systematic: str
@@ -155,13 +148,11 @@ class Outcomes:
 
 
 def main() -> None:
-    """Prints ratios to the bound, NEES and coverage; with ``--disturbed``, what slips cost."""
+    """Prints ratios to the bound, NEES and coverage."""
     parser = make_parser(__doc__, jobs=1)
-    parser.add_argument("--level", choices=("detections", "recordings"), default="detections")
     parser.add_argument("--runs", type=int, default=200, help="of each rig")
-    parser.add_argument("--scenarios", type=int, default=1, help="rigs; recordings have another one each run")
+    parser.add_argument("--scenarios", type=int, default=1, help="rigs")
     parser.add_argument("--captures", type=int, default=48, help="a multiple of 24")
-    parser.add_argument("--disturbed", type=float, default=0.0, help="share of captures in which the board slips")
     parser.add_argument("--stated", type=float, default=1.0, help="stated noise over true noise")
     parser.add_argument(
         "--systematic",
@@ -173,32 +164,16 @@ def main() -> None:
     arguments = parser.parse_args()
     captures = scenario_of(arguments.captures).captures
     print(
-        f"{captures} captures, {arguments.runs} runs of {arguments.scenarios} rigs, {arguments.level}, "
-        f"{arguments.disturbed:.0%} disturbed, stated noise {arguments.stated:g} times the true one, systematic "
-        f"errors {arguments.systematic}"
+        f"{captures} captures, {arguments.runs} runs of {arguments.scenarios} rigs, stated noise "
+        f"{arguments.stated:g} times the true one, systematic errors {arguments.systematic}"
     )
-
-    def outcomes_of(disturbed: float) -> dict[str, Outcomes]:
-        shared = arguments.level, arguments.captures, disturbed, arguments.stated, arguments.systematic
-        worlds = 1 if arguments.level == "recordings" else arguments.scenarios
-        work = [
-            (*shared, world, run, arguments.runs * world + run, " ".join(arguments.estimators))
-            for world in range(worlds)
-            for run in range(arguments.runs)
-        ]
-        return collect(run_worlds(Row, measure, work, arguments, key=len(fields(Draw)) + 1))
-
-    clean = outcomes_of(0.0)
-    show(clean)
-    if arguments.disturbed:
-        slipped = {
-            # A slip is no noise: the bound is that of the same captures at rest.
-            name: replace(outcome, bounds=clean[name].bounds, ideal=clean[name].ideal)
-            for name, outcome in outcomes_of(arguments.disturbed).items()
-        }
-        print(f"\nThe same runs with slips in {arguments.disturbed:.0%} of the captures")
-        show(slipped)
-        show_cost_of_slips(slipped, clean)
+    shared = arguments.captures, arguments.stated, arguments.systematic
+    work = [
+        (*shared, world, run, arguments.runs * world + run, " ".join(arguments.estimators))
+        for world in range(arguments.scenarios)
+        for run in range(arguments.runs)
+    ]
+    show(collect(run_worlds(Row, measure, work, arguments, key=len(fields(Draw)) + 1)))
 
 
 def scenario_of(captures: int) -> RigScenario:
@@ -210,16 +185,15 @@ def scenario_of(captures: int) -> RigScenario:
 
 
 @lru_cache(maxsize=1)
-def build_stage(captures: int, disturbed: float, world: int) -> tuple[World, Rig]:
+def build_stage(captures: int, world: int) -> tuple[World, Rig]:
     """A rig with its board poses, and with the noise that its measurements have."""
-    scenario = scenario_of(captures).model_copy(update={"disturbed": disturbed})
-    stage = build_world(scenario, world, images=False)
+    stage = build_world(scenario_of(captures), world, images=False)
     return stage, simulate_detections(stage, 0, IdealDetectorOptions())[0]
 
 
 def detect(draw: Draw) -> Recording:
     """Runs of a world differ in their noise only."""
-    stage, noise = build_stage(draw.captures, draw.disturbed, draw.world)
+    stage, noise = build_stage(draw.captures, draw.world)
     rng = np.random.default_rng((draw.world, draw.run))
     errors = draw_errors(stage, rng) if draw.systematic == "drawn" else ModelErrors()
     knobs = IdealDetectorOptions(stated_noise_factor=draw.stated)
@@ -245,18 +219,10 @@ def exact(uncertainty: Uncertainty) -> Uncertainty:
     return uncertainty.model_copy(update=dict.fromkeys(type(uncertainty).model_fields, 0.0))
 
 
-def record(draw: Draw) -> Recording:
-    """Another rig, room and walk each time, through images, clouds and the search for captures."""
-    scenario = scenario_of(draw.captures).model_copy(update={"disturbed": draw.disturbed})
-    rig, captured, truth = recorded(scenario, draw.run)
-    stated = Recording(rig, captured, truth, rig)
-    return replace(stated, noise=with_noise_about_truth(stated))
-
-
 def measure(*case: Any) -> list[Row]:
     """What the estimators make of one recording."""
     draw, estimators = Draw(*case[:-1]), case[-1]
-    recording = record(draw) if draw.level == "recordings" else detect(draw)
+    recording = detect(draw)
     rig, captured = recording.rig, recording.captured
     sensors = tuple(name for name in rig.sensors if name != rig.root)
     least = cramer_rao(recording.noise, captured, recording.T_root_sensor, recording.T_root_board)
@@ -323,39 +289,6 @@ def ideal_errors(recording: Recording) -> Array:
     steps = -np.linalg.solve(H, g)[: 6 * bundle.body_count].reshape(-1, 6)
     by_name = dict(zip(bundle.sensors[1:], steps, strict=True))
     return np.array([by_name[name] for name in recording.rig.sensors if name != recording.rig.root])
-
-
-def with_noise_about_truth(recording: Recording) -> Rig:
-    """The rig with the noise of its measurements about the ground truth.
-
-    That is not what rig.yaml states: detectors find corners more precisely, and average beams over scans.
-    """
-    rig = recording.rig
-    sensors = {
-        name: with_noise(spec, 1.4826 * float(np.median(np.abs(errors_of_measurements(recording, name)))))
-        for name, spec in rig.sensors.items()
-    }
-    return rig.model_copy(update={"sensors": sensors})
-
-
-def errors_of_measurements(recording: Recording, name: str) -> Array:
-    """(N,) what a sensor measured, minus what it should have measured: pixels or m."""
-    errors, captured = [], recording.captured
-    for capture, (detection, *_) in captured.detections[name].items():
-        T_sensor_board = se3.inverse(recording.T_root_sensor[name]) @ recording.T_root_board[capture]
-        if isinstance(detection, BoardCorners):
-            seen = captured.cameras[name].project(se3.apply(T_sensor_board, detection.corners_board))
-            errors.append((detection.pixels - seen).ravel())
-        else:
-            n, t = T_sensor_board[:3, 2], T_sensor_board[:3, 3]
-            errors.append(detection.ranges - n @ t / (detection.directions @ n))
-    return np.concatenate(errors)
-
-
-def with_noise(spec: SensorSpec, sigma: float) -> SensorSpec:
-    """The sensor with this noise in pixels or in range, m."""
-    noise = PixelNoise(pixel=sigma) if isinstance(spec, CameraSpec) else RangeNoise(range=sigma, angle=1e-5)
-    return spec.model_copy(update={"noise": noise})
 
 
 def deviations(
@@ -436,15 +369,6 @@ def share(held: Array) -> str:
     test = binomtest(int(held.sum()), len(held))
     interval = test.proportion_ci(CONFIDENCE)
     return f"{held.mean():6.1%} ({interval.low:.1%} to {interval.high:.1%})"
-
-
-def show_cost_of_slips(slipped: Mapping[str, Outcomes], clean: Mapping[str, Outcomes]) -> None:
-    """Prints the RMSE of disturbed runs over that of the same runs without slips."""
-    print("\nRMSE with slips over that of the same runs without")
-    print(f"{'':26}" + "".join(f"{axis:>7}" for axis in (*AXES, "all")))
-    for name, outcome in slipped.items():
-        for sensor, ratios, rested in zip(outcome.sensors, outcome.ratios, clean[name].ratios, strict=True):
-            print(f"{sensor:14}{name:12}" + "".join(f"{ratio:7.2f}" for ratio in ratios / rested))
 
 
 if __name__ == "__main__":

@@ -5,14 +5,16 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.config import Rig
+from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
+from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_kinds import KINDS, cases
-from model_error_rigs import SCENARIOS
-from model_errors import DRAWN, DRAWN_CAPTURES, RIGHT, SMALL_TREMORS, TREMOR, detect
+from model_error_rigs import SCENARIOS, rig_world
+from model_errors import DRAWN, DRAWN_CAPTURES, RIGHT, detect
+from rig_errors import BoardErrors, ModelErrors
 
 Make = Callable[[], object]
 WITHOUT: Mapping[str, tuple[str, ...]] = {
@@ -21,6 +23,10 @@ WITHOUT: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Rigs without a sensor that could be wrong so."""
 RIGS_PER_CASE = 2
+TREMORS = 0.0005, 0.001
+"""Standard deviation of the board's position from message to message, m."""
+SHARP = IdealDetectorOptions(pixel=0.05)
+"""Corners of good detectors in sharp images."""
 
 
 def list_rig_problems() -> Iterator[tuple[str, Make]]:
@@ -58,5 +64,17 @@ def _right_worlds() -> Iterator[tuple[str, Make]]:
         for seed in (0, 1):
             captures = DRAWN_CAPTURES[(k + seed) % len(DRAWN_CAPTURES)]
             yield f"model_errors/{rig}/drawn/{captures}/{seed}", partial(_detected, rig, DRAWN, captures, seed)
-        tremor = SMALL_TREMORS[k % len(SMALL_TREMORS)]
-        yield f"model_errors/{rig}/sharp_tremor/{tremor:.6g}/0", partial(_detected, rig, TREMOR, tremor, 0)
+        tremor = TREMORS[k % len(TREMORS)]
+        yield f"model_errors/{rig}/sharp_tremor/{tremor:.6g}/0", partial(_trembling, rig, tremor, 0)
+
+
+def _trembling(rig: str, tremor: float, seed: int) -> Calibration:
+    """Of a board that trembles, in sharp images."""
+    errors = ModelErrors(BoardErrors(tremor=tremor))
+    stated, captured, _ = simulate_detections(rig_world(rig, seed), seed, SHARP, errors)
+    # Who writes a rig.yaml does not know how sharp the images are.
+    sensors = {
+        name: spec.model_copy(update={"noise": PixelNoise()}) if isinstance(spec, CameraSpec) else spec
+        for name, spec in stated.sensors.items()
+    }
+    return calibrated(stated.model_copy(update={"sensors": sensors}), captured, seed)

@@ -1,16 +1,10 @@
-"""Intrinsics of random lenses from exact corners: the model that is chosen, errors and their stated deviations.
-
-python benchmarks/lens_models.py --lenses 100 --views 12
-python benchmarks/lens_models.py --lenses 100 --views 12 --warp 0.3   # lenses that no model describes
+"""Random lenses, and views of a board through them, from exact corners.
 
 Pinholes of 40 to 120 degrees and fisheyes of 90 to 190 degrees over the image's width, in turn, with random
 distortion and principal point, and a checkerboard of 8 by 6 corners at random places, with a noise of 0.2 px. The
 warp is one of three kinds: waves along and across the radius, bumps of random places and widths, or (of the size
 of the warp, too) shear along the image's rows and columns that grows with the cube of the distance. It has no
 part that a model describes only by chance.
-
-Columns: lenses whose model is right, lenses that are rejected; median and largest error of the focal length, %;
-median NEES per parameter of the focal lengths and the principal point, of lenses whose model is right.
 """
 
 from collections.abc import Callable
@@ -19,12 +13,9 @@ import numpy as np
 
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
-from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.detection.board_views import BoardView
-from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.sensors import CameraModel
-from worlds import make_parser
 
 SIZE, NOISE = (1280, 960), 0.2
 RIG = Rig.model_validate({
@@ -36,29 +27,6 @@ RIG = Rig.model_validate({
     },
     "sensors": {"camera": {"kind": "camera", "topic": "/image"}},
 })  # fmt: skip
-
-
-def main() -> None:
-    """Prints a line for each kind of lens."""
-    parser = make_parser(__doc__)
-    parser.add_argument("--lenses", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--views", type=int, default=12)
-    parser.add_argument("--warp", type=float, default=0.0, help="largest displacement, px")
-    arguments = parser.parse_args()
-    found: dict[str, list[tuple[bool, float, float] | None]] = {"pinhole": [], "fisheye": []}
-    for seed in range(arguments.first, arguments.first + arguments.lenses):
-        camera = draw_lens(seed)
-        found[camera.model].append(measure(camera, seed, arguments.views, arguments.warp))
-    print(f"{'lens':>8} {'n':>3} {'right':>5} {'rejected':>8} {'median %':>8} {'max %':>7} {'nees':>5} {'max':>5}")
-    for model, outcomes in found.items():
-        some = [one for one in outcomes if one is not None]
-        right = np.array([one[2] for one in some if one[0]])
-        errors = np.array([one[1] for one in some])
-        print(
-            f"{model:>8} {len(outcomes):3d} {len(right):5d} {len(outcomes) - len(some):8d} "
-            f"{np.median(errors):8.3f} {errors.max():7.3f} {np.median(right):5.2f} {right.max():5.1f}"
-        )
 
 
 def draw_lens(seed: int) -> CameraModel:
@@ -78,20 +46,6 @@ def draw_lens(seed: int) -> CameraModel:
         k[[0, 1, 4]] *= (np.tan(np.pi / 4) / np.tan(np.radians(angle / 2))) ** np.array([2, 4, 6])
     K = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1]])
     return CameraModel("pinhole", *SIZE, K, k)
-
-
-def measure(camera: CameraModel, seed: int, count: int, warp: float) -> tuple[bool, float, float] | None:
-    """Whether the model is right, the error of the focal length, %, and the NEES; None without intrinsics."""
-    estimate = estimate_intrinsics(RIG, "camera", simulate_views(camera, seed, count, warp))
-    if isinstance(estimate, Rejected):
-        print(f"{camera.model} {seed}: {estimate.reason}")
-        return None
-    right = estimate.camera.model == camera.model
-    if not right:
-        print(f"{camera.model} {seed}: {estimate.camera.model}, {estimate.rejected_models}")
-    error = (estimate.camera.intrinsics - camera.intrinsics)[:4] if right else np.zeros(4)
-    nees = float(error @ np.linalg.solve(estimate.covariance[:4, :4], error)) / 4
-    return right, 100 * float(np.abs(estimate.camera.focal / camera.focal - 1).max()), nees
 
 
 def simulate_views(camera: CameraModel, seed: int, count: int, warp: float) -> list[BoardView]:
@@ -150,7 +104,3 @@ def _draw_warp(rng: np.random.Generator, camera: CameraModel, size: float) -> Ca
 
     largest = np.linalg.norm(shape(grid), axis=-1).max()
     return lambda pixels: np.asarray(size / largest * shape(pixels))
-
-
-if __name__ == "__main__":
-    main()

@@ -5,7 +5,6 @@ python benchmarks/model_errors.py --kinds print_scale tag_size   # some kinds, a
 python benchmarks/model_errors.py --kinds range_bias --sizes 30  # in the units of the table
 python benchmarks/model_errors.py --csv runs.csv                 # a row for each run; the next one resumes it
 python benchmarks/model_errors.py --draw --runs 50               # all systematic errors drawn from their priors
-python benchmarks/model_errors.py --tremor --runs 20             # views rejected while the board trembles
 python benchmarks/model_errors.py --stated 0.5                   # rig.yaml states half of the default uncertainty
 
 A pose is *confidently wrong* if its verdict is good and it is off by more than 5 of its standard deviations along
@@ -27,18 +26,17 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.config import Board, CameraSpec, PixelNoise, Rig, SensorSpec
+from calgraph.config import Board, Rig, SensorSpec
 from calgraph.errors import CalgraphError
-from calgraph.result import Calibration, SensorPose
+from calgraph.result import SensorPose
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import GroundTruth, World
-from ideal_detections import IdealDetectorOptions, simulate_detections
+from ideal_detections import simulate_detections
 from model_error_draws import draw_errors
 from model_error_kinds import KINDS, MODELLED, Wrong, cases, wrong_world
 from model_error_rigs import SCENARIOS, rig_world
-from rig_errors import BoardErrors, ModelErrors
 from worlds import (
     NAN,
     Layout,
@@ -54,16 +52,12 @@ from worlds import (
     worst,
 )
 
-RIGHT, DRAWN, TREMOR = "right", "drawn", "trembling"
+RIGHT, DRAWN = "right", "drawn"
 """Kinds besides those of model_error_kinds.py."""
 MAX_SIGMAS, MAX_METRES, MAX_DEGREES = 5.0, 0.020, 1.0
 """A good pose that is off by more is confidently wrong."""
-RIGS, TREMBLING_RIGS = ("five", "chain", "pair"), ("five", "pair", "cameras")
+RIGS = "five", "chain", "pair"
 DRAWN_CAPTURES = 8, 16, 40
-SHARP = 0.05
-"""Standard deviation of corners while the board trembles, pixels: that of good detectors in sharp images."""
-SMALL_TREMORS = 0.0005, 0.001
-"""Standard deviation of the board's position from message to message, m."""
 
 
 @dataclass(frozen=True)
@@ -92,17 +86,13 @@ class Outcome:
     """Mean over sensors, per degree of freedom."""
     outside: float = NAN
     """Share of sensors beyond the 99 % ellipsoid of their covariance."""
-    rejected: float = NAN
-    """Share of the views (detections of the board by one sensor) that were not used."""
-    rejected_images: float = NAN
-    """The same for cameras."""
     seconds: float = NAN
     text: str = ""
     """Remarks, verdicts that are not good, or why the run failed."""
 
 
 def main() -> None:
-    """Prints a table by rig, kind and size, and totals; or with drawn errors, or tremor."""
+    """Prints a table by rig, kind and size, and totals; or with drawn errors."""
     parser = make_parser(__doc__, jobs=3)
     parser.add_argument("--kinds", nargs="+", choices=[*KINDS, RIGHT], default=[*KINDS, RIGHT])
     parser.add_argument("--sizes", nargs="+", type=float, default=[], help="only these, in the units of the table")
@@ -113,8 +103,7 @@ def main() -> None:
     )
     parser.add_argument("--draw", action="store_true", help="all systematic errors drawn from their priors")
     parser.add_argument("--captures", nargs="+", type=int, default=list(DRAWN_CAPTURES), help="of drawn errors")
-    parser.add_argument("--tremor", action="store_true", help="a board that trembles in every capture")
-    parser.add_argument("--runs", type=int, default=20, help="of each rig with drawn errors or tremor")
+    parser.add_argument("--runs", type=int, default=20, help="of each rig with drawn errors")
     parser.add_argument(
         "--stated",
         type=float,
@@ -122,15 +111,17 @@ def main() -> None:
         help="uncertainty of systematic errors in rig.yaml over the default one",
     )
     arguments = parser.parse_args()
-    arguments.rigs = arguments.rigs or (TREMBLING_RIGS if arguments.tremor else RIGS)
-    if arguments.draw or arguments.tremor:
-        kind, sizes = (DRAWN, arguments.captures) if arguments.draw else (TREMOR, SMALL_TREMORS)
-        seeds = range(arguments.runs)
-        work = [(rig, kind, size, seed) for rig in arguments.rigs for seed in seeds for size in sizes]
-        outcomes = run_worlds(Outcome, partial(run, stated=arguments.stated), work, arguments, key=4)
-        show_drawn(outcomes) if arguments.draw else show_trembling(outcomes)
+    arguments.rigs = arguments.rigs or RIGS
+    calibrate = partial(run, stated=arguments.stated)
+    if arguments.draw:
+        work = [
+            (rig, DRAWN, captures, seed)
+            for rig in arguments.rigs
+            for seed in range(arguments.runs)
+            for captures in arguments.captures
+        ]
+        show_drawn(run_worlds(Outcome, calibrate, work, arguments, key=4))
     else:
-        calibrate = partial(run, stated=arguments.stated)
         show(run_worlds(Outcome, calibrate, wrong_and_right(arguments), arguments, key=4))
 
 
@@ -173,32 +164,18 @@ def detect(rig: str, kind: str, size: float, seed: int) -> tuple[Rig, CaptureSet
 
     Args:
         rig: of :data:`model_error_rigs.SCENARIOS`.
-        kind: of an error, or right, drawn, or tremor.
-        size: of the error; of drawn ones the number of captures, and of the tremor m.
+        kind: of an error, or right, or drawn.
+        size: of the error; of drawn ones the number of captures.
         seed: of everything that is drawn.
     """
     if kind == DRAWN:
         rng = np.random.default_rng((seed, 15))
         world = with_captures(rig_world(rig, seed), int(size), rng)
         return simulate_detections(world, seed, None, draw_errors(world, rng))
-    if kind == TREMOR:
-        return detect_trembling(rig, size, seed)
     wrong = Wrong() if kind == RIGHT else wrong_world(kind, size, rig, seed)
     if wrong is None:
         return None
     return simulate_detections(rig_world(rig, seed, wrong.scenario), seed, wrong.options, wrong.errors)
-
-
-def detect_trembling(rig: str, tremor: float, seed: int) -> tuple[Rig, CaptureSet, GroundTruth]:
-    """The detections of a board that trembles, in sharp images."""
-    errors, options = ModelErrors(BoardErrors(tremor=tremor)), IdealDetectorOptions(pixel=SHARP)
-    stated, captured, truth = simulate_detections(rig_world(rig, seed), seed, options, errors)
-    # Who writes a rig.yaml does not know how sharp the images are.
-    sensors = {
-        name: spec.model_copy(update={"noise": PixelNoise()}) if isinstance(spec, CameraSpec) else spec
-        for name, spec in stated.sensors.items()
-    }
-    return stated.model_copy(update={"sensors": sensors}), captured, truth
 
 
 def with_captures(world: World, count: int, rng: np.random.Generator) -> World:
@@ -232,8 +209,6 @@ def judge(case: tuple[str, str, float, int], rig: Rig, captured: CaptureSet, tru
         sigmas=max((one.sigmas for one in errors), default=NAN),
         nees=mean([one.nees for one in errors]),
         outside=mean([6 * one.nees > chi2.ppf(0.99, 6) for one in errors]),
-        rejected=rejected_share(found, captured, tuple(rig.sensors)),
-        rejected_images=rejected_share(found, captured, tuple(rig.cameras())),
         seconds=seconds,
         text=" | ".join([*found.evidence.remarks, *verdicts]),
     )
@@ -243,18 +218,6 @@ def is_confidently_wrong(sensor: SensorPose, error: PoseError) -> bool:
     """Whether a pose is good, and off by much."""
     far = error.sigmas > MAX_SIGMAS or error.metres > MAX_METRES or error.degrees > MAX_DEGREES
     return sensor.verdict.grade == "good" and far
-
-
-def rejected_share(found: Calibration, captured: CaptureSet, sensors: Sequence[str]) -> float:
-    """Share of the views of these sensors that were not used, of those that others share."""
-    shared = [row for row in found.evidence.captures if row.sensor in sensors and is_shared(captured, row.capture)]
-    detected = [row for row in shared if row.capture in captured.detections[row.sensor]]
-    return mean([not row.used for row in detected])
-
-
-def is_shared(captured: CaptureSet, capture: int) -> bool:
-    """Whether two sensors detected the board."""
-    return sum(capture in found for found in captured.detections.values()) > 1
 
 
 def show(outcomes: Sequence[Outcome]) -> None:
@@ -330,24 +293,6 @@ def show_drawn(outcomes: Sequence[Outcome]) -> None:
                 rig, captures, len(group), sum(o.placed for o in group), mean(nees), median(nees),
                 mean([o.outside for o in group]), median(millimetres), worst(millimetres), count(group, "good"),
                 remarked(group), count(group, "confidently_wrong"),
-            )
-        )  # fmt: skip
-
-
-def show_trembling(outcomes: Sequence[Outcome]) -> None:
-    """Prints the share of rejected views, and the NEES."""
-    table = Layout(
-        "rig:6 tremor:>7 runs:4d views_rejected:14.1% images:7.1% most:7.1% NEES:6.2f mm:7.2f good:4d rem.:4d "
-        "conf:4d"
-    )
-    print(table.head)
-    for (rig, _, size), group in grouped(outcomes, lambda o: (o.rig, o.kind, o.size)):
-        images = [o.rejected_images for o in group]
-        print(
-            table.line(
-                rig, f"{1000 * size:4g} mm", len(group), mean([o.rejected for o in group]), mean(images),
-                worst(images), mean([o.nees for o in group]), median([o.millimetres for o in group]),
-                count(group, "good"), remarked(group), count(group, "confidently_wrong"),
             )
         )  # fmt: skip
 

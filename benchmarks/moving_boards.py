@@ -1,20 +1,11 @@
-"""Synchronized frames of a board that never rests: errors of poses against their standard deviations.
+"""Detections of a board that never rests, in synchronized frames.
 
-python benchmarks/moving_boards.py                          # 20 seeds, speeds 0.1 to 1 m/s, spreads 0 to 50 ms
-python benchmarks/moving_boards.py --jitter 0.005 --readout 0.02 --seeds 20
-
-Detections are those of ideal detectors, with what an estimator does not know: true times that differ from stamps,
-shutters that read the image row by row, sweeps that last, and hands that tremble.
-
-Two cameras, a 16-ring LiDAR and a 2-D scanner measure the board in 40 sets of frames. Stamps of a set lie within
-the spread; true times differ from stamps by the jitter, and cameras read their rows one after the other during the
-readout. Neither is an input of the estimator. NEES: mean squared error over its variance (1 where covariances
-hold). A sensor is confidently wrong where its verdict is good, it is off by more than its tolerance, and its NEES
-is above 3.
+They are those of ideal detectors, with what an estimator does not know: true times that differ from stamps,
+shutters that read the image row by row, sweeps that last, and hands that tremble. Stamps of a set of frames lie
+within the spread; true times differ from stamps by the jitter, and cameras read their rows one after the other
+during the readout. Neither is an input of the estimator.
 """
 
-import logging
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -32,8 +23,6 @@ from calgraph.rig.captures.holds import Hold, find_holds
 from calgraph.rig.captures.moving_board import compensate_motion
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
-from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
@@ -42,7 +31,6 @@ from calgraph.simulation import (
     RigScenario,
     SpinningOptions,
     World,
-    build_world,
     ground_truth,
     world_rig,
 )
@@ -50,11 +38,7 @@ from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.robot import MountedCamera, RobotSensor
 from ideal_detections import IdealDetectorOptions, as_scanner, make_ideal_detector
 from rig_errors import ModelErrors
-from worlds import Layout, find_errors, make_parser, rms
 
-SPEEDS, SPREADS = (0.1, 0.3, 1.0), (0.0, 0.01, 0.05)
-MAX_TRANSLATION, MAX_ROTATION = 0.010, 0.3
-"""The default tolerance: m, degrees."""
 _TREMOR_FREQUENCIES = (2.0, 7.0)
 """Bounds of the frequency of a hand's tremor, Hz (physiological tremor of an arm with a load)."""
 
@@ -236,53 +220,3 @@ def scenario() -> RigScenario:
         multibeam=MultibeamOptions(count=1),
         bearings=(-40, -25, -10, 10, 25, 40),
     )
-
-
-def run(seed: int, motion: MovingBoardOptions) -> list[tuple[float, float, float, bool]]:
-    """By sensor: error (m, degrees), squared error per degree of freedom, and whether it is confidently wrong."""
-    world = build_world(scenario(), seed, images=False)
-    rig, captures, truth = simulate_moving_detections(world, seed, motion, IdealDetectorOptions(scans_per_hold=1))
-    problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(seed))
-    found, calibration = [], solve_problem(problem)
-    for name, error in find_errors(calibration, truth.T_root_sensor).items():
-        off = (error.metres > MAX_TRANSLATION or error.degrees > MAX_ROTATION) and error.nees > 9 / 6 * 2
-        found.append((error.metres, error.degrees, error.nees, off and calibration[name].verdict.grade == "good"))
-    return found
-
-
-def main() -> None:
-    """Prints a row for each speed and spread."""
-    parser = make_parser(__doc__)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--jitter", type=float, default=0.002, help="s")
-    parser.add_argument("--readout", type=float, default=0.0, help="s")
-    parser.add_argument("--rate", type=float, default=10.0, help="Hz")
-    parser.add_argument("--speeds", type=float, nargs="+", default=SPEEDS, help="m/s")
-    parser.add_argument("--spreads", type=float, nargs="+", default=SPREADS, help="s")
-    arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
-    print(
-        f"{arguments.seeds} seeds, jitter {1000 * arguments.jitter:g} ms, readout {1000 * arguments.readout:g} ms"
-    )
-    table = Layout("m/s:5.1f ms:4.0f RMS_mm:7.2f worst_mm:9.2f worst_deg:9.3f NEES:6.2f wrong:6d s:5.1f")
-    print(table.head)
-    for speed in arguments.speeds:
-        for spread in arguments.spreads:
-            motion = MovingBoardOptions(
-                speed=speed, spread=spread, rate=arguments.rate, jitter=arguments.jitter, readout=arguments.readout
-            )
-            began, rows = time.perf_counter(), []
-            for seed in range(arguments.first, arguments.first + arguments.seeds):
-                rows += run(seed, motion)
-            metres, degrees, squared, wrong = np.array(rows).T
-            seconds = (time.perf_counter() - began) / arguments.seeds
-            line = table.line(
-                speed, 1000 * spread, 1000 * rms(metres), 1000 * metres.max(), degrees.max(), squared.mean(),
-                int(wrong.sum()), seconds,
-            )  # fmt: skip
-            print(line, flush=True)
-
-
-if __name__ == "__main__":
-    main()

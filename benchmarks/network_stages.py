@@ -10,11 +10,9 @@ these pairs.
 A scanner is grossly wrong if it is off by more than 0.1 m or 2 degrees relative to most of its neighbours.
 
     python benchmarks/network_stages.py --sizes 30x1 100x1 300x1 1000x1 100x10 --layout building --jobs 4
-    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep old
-    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep new --recordings old --compare old
+    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep DIR
 
-``--keep`` writes recordings, calibrations and answers (the poses alone) into a folder; those recordings are not
-simulated again. ``--compare`` states the largest difference of poses from the answers in another such folder.
+``--keep`` writes recordings and results into a folder; recordings that are there are not simulated again.
 """
 
 import tempfile
@@ -35,22 +33,12 @@ from calgraph.recording import open_recordings
 from calgraph.report import write_report
 from calgraph.result import save_calibration, save_captures, save_scene
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
-from network_measures import (
-    SEED,
-    Quality,
-    compare_answers,
-    extract_answer,
-    find_overlaps,
-    judge_answer,
-    load_answer,
-    save_answer,
-)
+from network_measures import SEED, Quality, find_overlaps, judge_poses
 from process_costs import in_process, measure_cpu, measure_peak_memories
 from worlds import make_parser
 
 STAGES = ("tracking", "pairing", "averaging", "solving", "assembling", "writing")
 SIZES = ("30x1", "100x1", "300x1", "100x10")
-ANSWER = "answer.npz"
 WALKERS = 0.4
 """For each scanner."""
 
@@ -77,24 +65,19 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="+", default=list(SIZES), help="scanners x minutes")
     parser.add_argument("--layout", default="building", choices=get_args(LayoutName))
     parser.add_argument("--jobs", type=int, default=1, help="processes of the simulation and of each calibration")
-    parser.add_argument("--keep", type=Path, help="folder for recordings, calibrations and answers")
-    parser.add_argument("--recordings", type=Path, help="folder of an earlier --keep, whose recordings are taken")
-    parser.add_argument("--compare", type=Path, help="folder of an earlier --keep, with whose answers to compare")
+    parser.add_argument("--keep", type=Path, help="folder of recordings and results")
     options = parser.parse_args()
     with ExitStack() as stack:
         keep = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         rows = {}
         print(HEADER)
         for size in options.sizes:
-            name = f"{options.layout}_{size}"
-            place, recorded = keep / name, (options.recordings or keep) / name
+            place = keep / f"{options.layout}_{size}"
             # Separate processes, so that time and memory are those of this calibration.
-            if not (recorded / "truth.yaml").exists():
-                in_process(simulate, recorded, options.layout, size, options.jobs)
-            rows[size] = in_process(calibrate, recorded, place, options.jobs)
+            if not (place / "truth.yaml").exists():
+                in_process(simulate, place, options.layout, size, options.jobs)
+            rows[size] = in_process(calibrate, place, options.jobs)
             print(f"{size:9}{format_row(rows[size])}", flush=True)
-            if options.compare:
-                print_comparison(place / ANSWER, options.compare / name / ANSWER)
     print_exponents(rows)
 
 
@@ -113,24 +96,21 @@ def simulate(place: Path, layout: LayoutName, size: str, jobs: int) -> None:
     simulate_network(scenario, place, SEED, jobs=jobs)
 
 
-def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
-    """Calibrates a recording and writes all files into ``place``."""
-    overlaps = in_process(find_overlaps, recorded)
-    rig = load_rig(recorded / "rig.yaml").model_copy(update={"root": overlaps.root})
+def calibrate(place: Path, jobs: int) -> Row:
+    """Calibrates the recording in a folder, and writes all files beside it."""
+    overlaps = in_process(find_overlaps, place)
+    rig = load_rig(place / "rig.yaml").model_copy(update={"root": overlaps.root})
     clock = Stopwatch()
-    with open_recordings([recorded / "recording"]) as recording:
+    with open_recordings([place / "recording"]) as recording:
         options = NetworkOptions(engine=Processes(jobs))
         found = calibrate_network(rig, recording, options, clock.progress)
     clock.lap("assembling")
-    place.mkdir(parents=True, exist_ok=True)
     save_calibration(found, place / "calibration.yaml")
     save_captures(found, place / "captures.csv")
     write_report(found, rig, place / "report.html")
     save_scene(found.pictures, place / "scene.npz")
     clock.lap("writing")
     wall, memories = clock.wall(), measure_peak_memories()
-    answer = extract_answer(found)
-    save_answer(place / ANSWER, answer)
     edges = found.evidence.edges
     return Row(
         tried=len(edges),
@@ -138,7 +118,7 @@ def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
         seconds=clock.seconds,
         wall=wall,
         memories=memories,
-        quality=judge_answer(answer, overlaps),
+        quality=judge_poses(found, overlaps),
     )
 
 
@@ -186,15 +166,6 @@ def format_row(row: Row) -> str:
         f"{row.tried:7d}{row.right:7d}{seconds}{row.wall:8.1f}{memories}{connected:>12}{quality.gross:7d}"
         f"{quality.confident:6d}" + "".join(f"{value:8.1f}" for value in spread)
     )
-
-
-def print_comparison(new: Path, old: Path) -> None:
-    """Prints how much an answer differs from an earlier one."""
-    if not old.exists():
-        print(f"{'':9}no answer in {old.parent} to compare with")
-        return
-    sigmas, unlike = compare_answers(load_answer(new), load_answer(old))
-    print(f"{'':9}differs by up to {sigmas:.3f} standard deviations; {unlike} scanners in one of both only")
 
 
 def print_exponents(rows: dict[str, Row]) -> None:

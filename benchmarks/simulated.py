@@ -1,29 +1,15 @@
 """What the benchmarks share: detections of a simulated rig, made in memory or from a recording."""
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 import numpy as np
 
-from calgraph.config import CameraSpec, Rig, load_rig
+from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, se3
-from calgraph.recording import open_recording
 from calgraph.result import Calibration
-from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.detectors import draw_seeds, learn_background, make_detectors
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
-from calgraph.rig.options import RigOptions
-from calgraph.simulation import (
-    GroundTruth,
-    RigScenario,
-    build_world,
-    ground_truth,
-    load_truth,
-    simulate_rig,
-    world_rig,
-)
+from calgraph.simulation import GroundTruth, RigScenario, build_world, ground_truth, world_rig
 from calgraph.simulation.robot import MountedCamera
 from simulated_captures import simulate_background, simulate_captures
 
@@ -48,17 +34,6 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundT
     never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
     timeline = RecordingTimeline(scenario.start_time, dict.fromkeys(rig.sensors, never), np.zeros(0))
     return rig, collect_detections(rig, timeline, holds, observations, cameras), truth
-
-
-def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundTruth]:
-    """Simulates a whole recording on disc, motion included, and finds captures and board in it."""
-    with TemporaryDirectory() as folder:
-        out = Path(folder) / "rig"
-        simulate_rig(scenario, out, seed)
-        rig = load_rig(out / "rig.yaml")
-        with open_recording(out / "recording") as recording:
-            captured = collect_captures(rig, recording, RigOptions(), np.random.default_rng(seed))
-        return rig, captured, load_truth(out / "truth.yaml")
 
 
 def errors(poses: dict[str, Array], truth: GroundTruth) -> tuple[Array, Array]:

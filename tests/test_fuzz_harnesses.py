@@ -11,7 +11,7 @@ from fuzz_readers import Monitor
 pytestmark = pytest.mark.slow
 
 # Of each reader; the fuzzer tries thousands a second, guided by coverage.
-DAMAGED = 40
+DAMAGED = 25
 
 
 def damage(data: bytes, rng: Random) -> bytes:

@@ -281,16 +281,16 @@ def test_four_captures_do_not_pass_for_a_good_scanner(recorded_rig: Staged) -> N
 
 
 def test_errors_scatter_as_the_covariances_say() -> None:
-    """Eight robots, two sensors each: mean normalised squared error of a degree of freedom."""
+    """Five robots, two sensors each: mean normalised squared error of a degree of freedom."""
     small = scenario(
         camera=CAMERA.model_copy(update={"width": 400, "height": 300}),
         laser=LASERS.model_copy(update={"count": 1}),
     )
     values = []
-    for seed in range(8):
+    for seed in range(5):
         rig, recording, truth = simulate_scenario(small, seed)
         calibration = calibrate(rig, recording, RigOptions(folds=0))  # which change no pose
         for name, error in pose_errors(calibration, truth).items():
             values.append(error @ np.linalg.solve(calibration[name].covariance, error) / 6)
-    assert len(values) == 16
+    assert len(values) == 10
     assert 0.3 < np.mean(values) < 3

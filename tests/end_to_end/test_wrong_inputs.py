@@ -11,7 +11,14 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import Recording
 from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMessage
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
-from simulated_rigs import SimulatedRecording, alter_messages, build_recording, calibrate, simulate_scenario
+from simulated_rigs import (
+    SimulatedRecording,
+    alter_messages,
+    build_recording,
+    calibrate,
+    keep_decoded,
+    simulate_scenario,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +38,7 @@ SCENARIO = RigScenario(
 @pytest.fixture(scope="module")
 def staged_rig() -> tuple[Rig, SimulatedRecording]:
     rig, recording, _ = simulate_scenario(SCENARIO)
-    return rig, recording
+    return rig, keep_decoded(recording)
 
 
 def changed(rig: Rig, path: str, value: object) -> Rig:

@@ -286,36 +286,38 @@ def test_a_server_with_another_token_asks_for_its_link(browser: Browser) -> None
     opening.__exit__(None, None, None)
 
 
-@pytest.mark.parametrize("size", [SMALL, PORTRAIT, LANDSCAPE, WIDE])
+def resize(page: Page, size: tuple[int, int]) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+
+
 @pytest.mark.parametrize("state", [RIG, NETWORK], ids=["rig", "network"])
-def test_nothing_is_wider_than_the_screen_and_buttons_are_large(
-    opened: Opened, state: SessionState, size: tuple[int, int]
-) -> None:
-    opened.page.set_viewport_size({"width": size[0], "height": size[1]})
+def test_nothing_is_wider_than_the_screen_and_buttons_are_large(opened: Opened, state: SessionState) -> None:
     opened.show(replace(state, headline="now"))
-    assert opened.page.evaluate(
-        "[document.documentElement, document.querySelector('main')].every(e => e.scrollWidth <= innerWidth)"
-    )
-    buttons = [button.bounding_box() for button in opened.page.locator("footer button:visible").all()]
-    assert buttons
-    assert all(box and min(box["width"], box["height"]) >= 48 for box in buttons)
-    assert all(box and box["y"] >= 0 and box["y"] + box["height"] <= size[1] for box in buttons)
-    if state is NETWORK:
-        assert opened.page.locator("#scene").is_visible()
+    for size in (SMALL, PORTRAIT, LANDSCAPE, WIDE):
+        resize(opened.page, size)
+        assert opened.page.evaluate(
+            "[document.documentElement, document.querySelector('main')].every(e => e.scrollWidth <= innerWidth)"
+        ), size
+        buttons = [button.bounding_box() for button in opened.page.locator("footer button:visible").all()]
+        assert buttons
+        assert all(box and min(box["width"], box["height"]) >= 48 for box in buttons), size
+        assert all(box and box["y"] >= 0 and box["y"] + box["height"] <= size[1] for box in buttons), size
+        if state is NETWORK:
+            assert opened.page.locator("#scene").is_visible(), size
 
 
-@pytest.mark.parametrize("size", [SMALL, PORTRAIT, LANDSCAPE, (1024, 768), WIDE, (1920, 1080)])
-def test_the_advice_is_complete_without_scrolling(opened: Opened, size: tuple[int, int]) -> None:
-    opened.page.set_viewport_size({"width": size[0], "height": size[1]})
-    for part in ("picture", "text", "expected"):
-        shown = opened.page.evaluate(
-            """id => new Promise(answer => {
-              const seen = ([entry]) => answer(entry.intersectionRatio);
-              new IntersectionObserver(seen).observe(document.getElementById(id));
-            })""",
-            f"advice-{part}",
-        )
-        assert shown > 0.99, part
+def test_the_advice_is_complete_without_scrolling(opened: Opened) -> None:
+    for size in (SMALL, PORTRAIT, LANDSCAPE, (1024, 768), WIDE, (1920, 1080)):
+        resize(opened.page, size)
+        for part in ("picture", "text", "expected"):
+            shown = opened.page.evaluate(
+                """id => new Promise(answer => {
+                  const seen = ([entry]) => answer(entry.intersectionRatio);
+                  new IntersectionObserver(seen).observe(document.getElementById(id));
+                })""",
+                f"advice-{part}",
+            )
+            assert shown > 0.99, (size, part)
 
 
 def test_the_picture_of_the_pose_fills_the_screen_when_pressed(opened: Opened) -> None:
