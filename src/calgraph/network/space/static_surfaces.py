@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se_n
+from calgraph.network.space.persons import LEVELLING
 from calgraph.surfaces.flat_cells import FlatCells, sum_moments
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
@@ -18,8 +19,12 @@ from calgraph.surfaces.surface_points import (
     meet_surfaces,
 )
 
-# Points of one sensor within a cube of this size are one, m: errors of rings and of relief are common to them.
-_THINNED = 0.25
+# Points of one sensor within a cube of this size are one, m: errors of rings and of relief are common to them. Of
+# a 2-D scanner, a cell has one line of points.
+_THINNED, _THINNED_LINE = 0.25, 0.1
+# Vertical part of a normal up to which a surface is a wall, which leaves height and tilt of a 2-D scanner open:
+# normals are known to a degree, and errors of their tilts would determine a height.
+_WALL = 0.3
 # Least points of a sensor in a cell for it to measure that cell: three determine a plane.
 _MIN_POINTS = 4
 
@@ -35,14 +40,18 @@ class SharedSurfaces:
     """(N,)."""
     surface: Index
     """(N,) of each point."""
+    leaves_open: NDArray[np.bool_]
+    """(N,) whether a point is of a 2-D scanner on a wall, and does not show its height and tilt."""
 
 
-def thin_points(points: Array) -> Array:
-    """Means of points (N, 3) within small cubes."""
-    return sum_moments(points, _THINNED).mean if len(points) else points
+def thin_points(points: Array, flat: bool = False) -> Array:
+    """Means of points (N, 3) within small cubes; of a 2-D scanner, which is flat, within smaller ones."""
+    return sum_moments(points, _THINNED_LINE if flat else _THINNED).mean if len(points) else points
 
 
-def find_shared_surfaces(points: Sequence[Array], states: Sequence[SensorState], gate: float) -> SharedSurfaces:
+def find_shared_surfaces(
+    points: Sequence[Array], states: Sequence[SensorState], gate: float, flat: NDArray[np.bool_]
+) -> SharedSurfaces:
     """The planes at the present states, with the points near them.
 
     A cell is flat if the points of each sensor are. Of thin walls, the side that most points are of counts.
@@ -51,6 +60,7 @@ def find_shared_surfaces(points: Sequence[Array], states: Sequence[SensorState],
         points: (N, 3) of each sensor, in its frame, m.
         states: of the sensors.
         gate: distance from a plane up to which points are on it, m.
+        flat: (S,) which sensors are 2-D scanners.
     """
     sensor = np.repeat(np.arange(len(points)), [len(one) for one in points])
     measured = np.concatenate(points)
@@ -67,7 +77,8 @@ def find_shared_surfaces(points: Sequence[Array], states: Sequence[SensorState],
     np.add.at(counts, (surface[used], sensor[used]), 1)
     enough = counts >= _MIN_POINTS
     used &= (enough[surface, sensor]) & (enough.sum(axis=1)[surface] > 1)
-    return SharedSurfaces(surfaces, measured[used], sensor[used], surface[used])
+    wall = np.abs(surfaces.normals[surface[used], 2]) < _WALL
+    return SharedSurfaces(surfaces, measured[used], sensor[used], surface[used], flat[sensor[used]] & wall)
 
 
 def linearize_surfaces(shared: SharedSurfaces, states: Sequence[SensorState]) -> SurfacePoints:
@@ -76,6 +87,7 @@ def linearize_surfaces(shared: SharedSurfaces, states: Sequence[SensorState]) ->
     world, by_state = _place(shared, states, np.zeros(len(cell)))
     residual, incidence, beyond = meet_surfaces(world, -by_state[:, :, 1 - BESIDE_POSE], surfaces, cell)
     met, by_state = _place(shared, states, beyond)
+    by_state[shared.leaves_open, :, LEVELLING] = 0.0
     N = len(residual)
     return SurfacePoints(
         shared.sensor,
