@@ -25,6 +25,7 @@ from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
     find_shared_surfaces,
+    map_points,
     reduce_surfaces,
     thin_points,
 )
@@ -162,7 +163,7 @@ def solve_space(
     ]
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
-    world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
+    world = [map_points(one.static.points, at, one.flat) for at, one in zip(states, observations, strict=True)]
     changes: list[Change] = []
     begin = 0.0
     if persons:

@@ -41,9 +41,9 @@ SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
 at its median beam."""
 SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
 """(6,) how well it is known before."""
-# By how much slices that 2-D scanners measure, of legs, hips or chests, are less known. Their lean is that of this
-# height over the middle of the upper body, m.
-_UNKNOWN_SLICE, _BELOW = 2.0, -1.0
+# By how much slices that 2-D scanners measure, of legs, hips or chests, are less known: depths are twice as
+# different. Their lean is that of this height over the middle of the upper body, m: what is below the hips does not.
+_UNKNOWN_SLICE, _BELOW = np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]), -0.4
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
 _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
 # Height in the middle of the upper body, and usual distance, m.
@@ -101,11 +101,11 @@ class PersonEquations:
 
 def expect_shapes(bands: int) -> tuple[Array, Array]:
     """(6B,) the mean over persons of the shapes of B slices of bodies, and how well it is known before."""
-    return np.tile(SHARED_MEAN, bands), np.ravel(_count_slices(bands)[:, None] * SHARED_STDDEV)
+    return np.tile(SHARED_MEAN, bands), _repeat_stddev(SHARED_STDDEV, bands)
 
 
-def _count_slices(bands: int) -> Array:
-    return np.where(np.arange(bands) > 0, _UNKNOWN_SLICE, 1.0)
+def _repeat_stddev(of_upper: Array, bands: int) -> Array:
+    return np.concatenate([of_upper, np.tile(_UNKNOWN_SLICE * of_upper, bands - 1)])
 
 
 def reduce_person(
@@ -214,7 +214,7 @@ def _arrange_prior(controls: int, shared: Array) -> tuple[Array, Array]:
     for axis in range(2):
         path = np.arange(axis, 2 * controls, 2)
         prior[np.ix_(path, path)] = second.T @ second
-    stddev = np.ravel(_count_slices(bands)[:, None] * _PERSON_STDDEV)
+    stddev = _repeat_stddev(_PERSON_STDDEV, bands)
     prior[2 * controls :, 2 * controls :] = np.diag(stddev**-2.0)
     mean[2 * controls :] = shared
     return prior, mean

@@ -22,9 +22,9 @@ from calgraph.surfaces.surface_points import (
 # Points of one sensor within a cube of this size are one, m: errors of rings and of relief are common to them. Of
 # a 2-D scanner, a cell has one line of points.
 _THINNED, _THINNED_LINE = 0.25, 0.1
-# Vertical part of a normal up to which a surface is a wall, which leaves height and tilt of a 2-D scanner open:
-# normals are known to a degree, and errors of their tilts would determine a height.
-_WALL = 0.3
+# Vertical part of a normal up to which a surface is a wall. Height over the floor at which points of 2-D scanners
+# are compared with walls, m: over furniture, where LiDARs measure them best. They are at their own height, too.
+_WALL, _WALL_HEIGHT = 0.3, 1.5
 # Least points of a sensor in a cell for it to measure that cell: three determine a plane.
 _MIN_POINTS = 4
 
@@ -40,8 +40,8 @@ class SharedSurfaces:
     """(N,)."""
     surface: Index
     """(N,) of each point."""
-    leaves_open: NDArray[np.bool_]
-    """(N,) whether a point is of a 2-D scanner on a wall, and does not show its height and tilt."""
+    level: NDArray[np.bool_]
+    """(N,) whether a point is of a 2-D scanner, and on a wall: it does not show height and tilt."""
 
 
 def thin_points(points: Array, flat: bool = False) -> Array:
@@ -49,12 +49,18 @@ def thin_points(points: Array, flat: bool = False) -> Array:
     return sum_moments(points, _THINNED_LINE if flat else _THINNED).mean if len(points) else points
 
 
+def map_points(points: Array, state: SensorState, flat: bool) -> Array:
+    """Points (N, 3) of a sensor in the world, m; those of a 2-D scanner at the height where walls are compared."""
+    world = state.place(points)[0]
+    return np.column_stack([world[:, :2], np.full(len(world), _WALL_HEIGHT)]) if flat else world
+
+
 def find_shared_surfaces(
     points: Sequence[Array], states: Sequence[SensorState], gate: float, flat: NDArray[np.bool_]
 ) -> SharedSurfaces:
     """The planes at the present states, with the points near them.
 
-    A cell is flat if the points of each sensor are. Of thin walls, the side that most points are of counts.
+    A cell is flat if the points of each LiDAR are. Of thin walls, the side that most points are of counts.
 
     Args:
         points: (N, 3) of each sensor, in its frame, m.
@@ -64,11 +70,13 @@ def find_shared_surfaces(
     """
     sensor = np.repeat(np.arange(len(points)), [len(one) for one in points])
     measured = np.concatenate(points)
-    world = np.concatenate([state.place(one)[0] for state, one in zip(states, points, strict=True)])
-    surfaces = fit_surfaces(world, sensor, gate * THICKNESS_PER_GATE)
+    level = flat[sensor]
+    world = np.concatenate([map_points(*one) for one in zip(points, states, flat, strict=True)])
+    surfaces = fit_surfaces(world[~level], sensor[~level], gate * THICKNESS_PER_GATE)
     surface = surfaces.find(world)
     distance = np.einsum("ni,ni->n", world - surfaces.center[surface], surfaces.normals[surface])
     used = (surface >= 0) & (np.abs(distance) < gate)
+    used &= ~level | (np.abs(surfaces.normals[surface, 2]) < _WALL)
     origins = np.array([se_n.translation(state.T_root_sensor) for state in states])
     side = np.einsum("ni,ni->n", origins[sensor] - surfaces.center[surface], surfaces.normals[surface]) > 0
     balance = np.bincount(surface[used], np.where(side[used], 1.0, -1.0), len(surfaces.keys))
@@ -77,8 +85,7 @@ def find_shared_surfaces(
     np.add.at(counts, (surface[used], sensor[used]), 1)
     enough = counts >= _MIN_POINTS
     used &= (enough[surface, sensor]) & (enough.sum(axis=1)[surface] > 1)
-    wall = np.abs(surfaces.normals[surface[used], 2]) < _WALL
-    return SharedSurfaces(surfaces, measured[used], sensor[used], surface[used], flat[sensor[used]] & wall)
+    return SharedSurfaces(surfaces, measured[used], sensor[used], surface[used], level[used])
 
 
 def linearize_surfaces(shared: SharedSurfaces, states: Sequence[SensorState]) -> SurfacePoints:
@@ -87,7 +94,6 @@ def linearize_surfaces(shared: SharedSurfaces, states: Sequence[SensorState]) ->
     world, by_state = _place(shared, states, np.zeros(len(cell)))
     residual, incidence, beyond = meet_surfaces(world, -by_state[:, :, 1 - BESIDE_POSE], surfaces, cell)
     met, by_state = _place(shared, states, beyond)
-    by_state[shared.leaves_open, :, LEVELLING] = 0.0
     N = len(residual)
     return SurfacePoints(
         shared.sensor,
@@ -108,6 +114,8 @@ def _place(shared: SharedSurfaces, states: Sequence[SensorState], beyond: Array)
     for k, state in enumerate(states):
         of = np.flatnonzero(shared.sensor == k)
         world[of], by_state[of] = state.place(shared.points[of], beyond[of])
+    world[shared.level, 2] = shared.surfaces.center[shared.surface[shared.level], 2]
+    by_state[shared.level, :, LEVELLING] = 0.0
     return world, by_state
 
 
