@@ -22,9 +22,9 @@ from calgraph.surfaces.surface_points import (
 # Points of one sensor within a cube of this size are one, m: errors of rings and of relief are common to them. Of
 # a 2-D scanner, a cell has one line of points.
 _THINNED, _THINNED_LINE = 0.25, 0.1
-# Vertical part of a normal up to which a surface is a wall. Height over the floor at which points of 2-D scanners
-# are compared with walls, m: over furniture, where LiDARs measure them best. They are at their own height, too.
-_WALL, _WALL_HEIGHT = 0.3, 1.5
+# Vertical part of a normal up to which a surface is a wall. Heights over the floor at which each point of a 2-D
+# scanner counts, m: over furniture, where LiDARs measure walls best, and apart, as walls are upright.
+_WALL, _WALL_HEIGHTS = 0.3, (1.2, 1.8)
 # Least points of a sensor in a cell for it to measure that cell: three determine a plane.
 _MIN_POINTS = 4
 
@@ -40,8 +40,8 @@ class SharedSurfaces:
     """(N,)."""
     surface: Index
     """(N,) of each point."""
-    level: NDArray[np.bool_]
-    """(N,) whether a point is of a 2-D scanner, and on a wall: it does not show height and tilt."""
+    height: Array
+    """(N,) at which a point of a 2-D scanner is taken to be, m: it does not show height and tilt; else NaN."""
 
 
 def thin_points(points: Array, flat: bool = False) -> Array:
@@ -50,9 +50,11 @@ def thin_points(points: Array, flat: bool = False) -> Array:
 
 
 def map_points(points: Array, state: SensorState, flat: bool) -> Array:
-    """Points (N, 3) of a sensor in the world, m; those of a 2-D scanner at the height where walls are compared."""
+    """Points (N, 3) of a sensor in the world, m; those of a 2-D scanner (2N, 3) at each height of walls."""
     world = state.place(points)[0]
-    return np.column_stack([world[:, :2], np.full(len(world), _WALL_HEIGHT)]) if flat else world
+    if not flat:
+        return world
+    return np.concatenate([np.column_stack([world[:, :2], np.full(len(world), z)]) for z in _WALL_HEIGHTS])
 
 
 def find_shared_surfaces(
@@ -60,7 +62,7 @@ def find_shared_surfaces(
 ) -> SharedSurfaces:
     """The planes at the present states, with the points near them.
 
-    A cell is flat if the points of each LiDAR are. Of thin walls, the side that most points are of counts.
+    A cell is flat if the points of each sensor are. Of thin walls, the side that most points are of counts.
 
     Args:
         points: (N, 3) of each sensor, in its frame, m.
@@ -68,11 +70,12 @@ def find_shared_surfaces(
         gate: distance from a plane up to which points are on it, m.
         flat: (S,) which sensors are 2-D scanners.
     """
-    sensor = np.repeat(np.arange(len(points)), [len(one) for one in points])
-    measured = np.concatenate(points)
+    repeats = np.where(flat, len(_WALL_HEIGHTS), 1)
+    sensor = np.repeat(np.arange(len(points)), repeats * [len(one) for one in points])
+    measured = np.concatenate([np.tile(one, (n, 1)) for one, n in zip(points, repeats.tolist(), strict=True)])
     level = flat[sensor]
     world = np.concatenate([map_points(*one) for one in zip(points, states, flat, strict=True)])
-    surfaces = fit_surfaces(world[~level], sensor[~level], gate * THICKNESS_PER_GATE)
+    surfaces = fit_surfaces(world, sensor, gate * THICKNESS_PER_GATE)
     surface = surfaces.find(world)
     distance = np.einsum("ni,ni->n", world - surfaces.center[surface], surfaces.normals[surface])
     used = (surface >= 0) & (np.abs(distance) < gate)
@@ -82,10 +85,11 @@ def find_shared_surfaces(
     balance = np.bincount(surface[used], np.where(side[used], 1.0, -1.0), len(surfaces.keys))
     used &= side == (balance[surface] >= 0)
     counts = np.zeros((len(surfaces.keys), len(points)))
-    np.add.at(counts, (surface[used], sensor[used]), 1)
+    np.add.at(counts, (surface[used], sensor[used]), 1 / repeats[sensor[used]])
     enough = counts >= _MIN_POINTS
     used &= (enough[surface, sensor]) & (enough.sum(axis=1)[surface] > 1)
-    return SharedSurfaces(surfaces, measured[used], sensor[used], surface[used], level[used])
+    height = np.where(level, world[:, 2], np.nan)
+    return SharedSurfaces(surfaces, measured[used], sensor[used], surface[used], height[used])
 
 
 def linearize_surfaces(shared: SharedSurfaces, states: Sequence[SensorState]) -> SurfacePoints:
@@ -114,8 +118,9 @@ def _place(shared: SharedSurfaces, states: Sequence[SensorState], beyond: Array)
     for k, state in enumerate(states):
         of = np.flatnonzero(shared.sensor == k)
         world[of], by_state[of] = state.place(shared.points[of], beyond[of])
-    world[shared.level, 2] = shared.surfaces.center[shared.surface[shared.level], 2]
-    by_state[shared.level, :, LEVELLING] = 0.0
+    level = np.isfinite(shared.height)
+    world[level, 2] = shared.height[level]
+    by_state[level, :, LEVELLING] = 0.0
     return world, by_state
 
 
