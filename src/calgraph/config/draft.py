@@ -163,6 +163,8 @@ def draft_rig(
         )
     if network:
         people = _PEOPLE.format(reason=_single_line(network))
+        # The root measures the floor.
+        sensors = sorted(sensors, key=lambda one: one.topic.kind != "lidar3d")
         parts = [_head(recording, board=False), _root(sensors), people, _sensors(sensors)]
         return "\n".join([*parts, *filter(None, [_unused_topics(topics, unused)])])
     parts = [

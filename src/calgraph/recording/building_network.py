@@ -1,4 +1,4 @@
-"""Whether a recording is of 3-D LiDARs at rest in a building: what moves is near some and far from others."""
+"""Whether a recording is of LiDARs at rest in a building: what moves is near some and far from others."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,14 +42,17 @@ class BuildingNetwork:
 
 
 def find_building_network(recording: Recording, topics: Sequence[FoundTopic]) -> BuildingNetwork | None:
-    """Whether its sensors are 3-D LiDARs at rest, some metres apart, with something that moves; None if not.
+    """Whether its sensors are LiDARs at rest, one in space at least, some metres apart, and something moves.
 
     Args:
         recording: is read once, and few of its messages are decoded.
         topics: of the recording.
     """
     sensors = [topic for topic in topics if topic.kind in KINDS and topic.count and not topic.problem]
-    if len(sensors) < 2 or any(topic.kind != "lidar3d" or topic.count < MIN_COUNT for topic in sensors):
+    kinds = [topic.kind for topic in sensors]
+    if len(sensors) < 2 or "lidar3d" not in kinds or any(kind not in ("lidar2d", "lidar3d") for kind in kinds):
+        return None
+    if any(topic.count < MIN_COUNT for topic in sensors):
         return None
     if recording.end - recording.start < MIN_DURATION or find_triggers(topics)[0]:
         return None
@@ -58,7 +61,8 @@ def find_building_network(recording: Recording, topics: Sequence[FoundTopic]) ->
     if apart < _MIN_DIFFERENCE:
         return None
     return BuildingNetwork(
-        f"3-D LiDARs are at rest, and what moves is {apart:.0f} m nearer to one than to another"
+        f"{'LiDARs' if 'lidar2d' in kinds else '3-D LiDARs'} are at rest, and what moves is {apart:.0f} m nearer to "
+        "one than to another"
     )
 
 

@@ -17,6 +17,8 @@ _HEIGHTS, _HIGH = (2.0, 4.0), (4.0, 6.0)
 """Of LiDARs over the floor, m."""
 _MAX_TILT = 40.0
 """Of the axis of a LiDAR, degrees."""
+_SCANNER_TILT = 3.0
+"""Of the plane of a 2-D scanner from level at most, degrees."""
 _AIM_ERROR, _ROLL = 6.0, 5.0
 """Standard deviations of the elevation at which an installer points a LiDAR, and of its roll, degrees."""
 _UPSIDE_DOWN = 0.2
@@ -138,10 +140,11 @@ def _aim_lidar(hall: Hall, sensor: DriveSensor, place: Array, height: float, rng
 
 
 def _aim_scanner(hall: Hall, place: Array, height: float, rng: np.random.Generator) -> Array:
-    """T_world_sensor of a level scanner, but for a degree."""
-    yaw = np.arctan2(-place[1], -place[0]) + rng.normal(0, 0.2)
-    tilt = np.radians(np.clip(rng.normal(0, 0.4, 2), -1, 1))
-    R = so3.exp(np.array([0, 0, yaw])) @ so3.exp(np.array([*tilt, 0.0]))
+    """T_world_sensor of a scanner that is level but for some degrees, and upside down sometimes."""
+    yaw, axis = np.arctan2(-place[1], -place[0]) + rng.normal(0, 0.2), rng.uniform(-np.pi, np.pi)
+    tilt = np.radians(rng.uniform(0, _SCANNER_TILT)) * np.array([np.cos(axis), np.sin(axis), 0.0])
+    flip = np.array([np.pi * (rng.random() < _UPSIDE_DOWN), 0.0, 0.0])
+    R = so3.exp(np.array([0, 0, yaw])) @ so3.exp(tilt) @ so3.exp(flip)
     return se3.pose(R, np.append(place, float(hall.ground(place[None])[0]) + height))
 
 

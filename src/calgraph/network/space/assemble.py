@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.config import Rig
+from calgraph.config import Lidar2dSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2, se3
 from calgraph.network.checks.assemble import (
@@ -29,10 +29,14 @@ from calgraph.solver.connected_parts import label_parts
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
-_ADVICE = "let people walk farther and in more directions where the views of LiDARs overlap"
+_ADVICE = "let people walk farther and in more directions where the views of sensors overlap"
 _RANGE_ADVICE = (
-    "measure the range errors of the LiDARs at known distances, and state what is left in rig.yaml "
+    "measure the range errors of the sensors at known distances, and state what is left in rig.yaml "
     "(uncertainty: range_scale, range_bias)"
+)
+_LEVEL_ADVICE = (
+    "the walls and people that a 2-D scanner measures do not show its height, roll and pitch: measure these, and state "
+    "them in rig.yaml (height, roll, pitch, and uncertainty: tilt)"
 )
 # Sources of uncertainty, and the share of ranges in the most uncertain axis with which they are what to improve.
 _RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
@@ -41,6 +45,8 @@ _MAX_SQUARED_STEP = 0.1
 # Agreement of maps below which nothing but people shows that a pose is right: of 20 right pairs in simulated halls
 # it is 5 to 21 with 16 rings, and 18 to 68 with 32; what wrong ones have was not measured.
 _MIN_AGREEMENT = 2.0
+# Axes of a level scanner along and about which it does not measure.
+_LEVEL_AXES = (2, 3, 4)
 # Static points of a sensor that are kept for pictures: walls of a hall are about 0.3 m between points.
 _MAX_POINTS = 4000
 
@@ -84,12 +90,14 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             stddev, rest = (stddev_along_axes(T, one[block, block]) for one in (covariance, known))
             share = 1 - (rest / stddev) ** 2
             worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
+            advice = _RANGE_ADVICE if share[worst] > _LARGE_SHARE else _ADVICE
+            advice = _LEVEL_ADVICE if isinstance(spec, Lidar2dSpec) and worst in _LEVEL_AXES else advice
             verdict = grade_pose(
                 name, spec.kind, T, covariance[block, block],
                 [*by_sensor.get(name, ()), *_find_contradictions(solution, k)],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
-                advice=_RANGE_ADVICE if share[worst] > _LARGE_SHARE else _ADVICE,
+                advice=advice,
                 shares={_RANGES: share, _REST: 1 - share},
             )  # fmt: skip
         sensors.append(
@@ -166,7 +174,7 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
     if not any((one.sensor == k).any() for one in solution.persons):
-        reasons.append("no person was measured by it and another LiDAR at the same time and place")
+        reasons.append("no person was measured by it and another sensor at the same time and place")
     between = solution.contradiction[k]
     if between.significance > 1:
         reasons.append(
@@ -176,7 +184,7 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     connected = label_parts(len(solution.states), np.argwhere(solution.agreement >= _MIN_AGREEMENT))
     if connected[0] != connected[k]:
         reasons.append(
-            "walls that it measured do not agree with those of other LiDARs: let more of the same walls, pillars "
+            "walls that it measured do not agree with those of other sensors: let more of the same walls, pillars "
             "and furniture be in the views of both"
         )
     return reasons

@@ -15,17 +15,16 @@ from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.periods import release_periods
 from calgraph.network.space.person_paths import (
-    SHAPE,
-    SHARED_MEAN,
-    SHARED_STDDEV,
     BodyNoise,
     PersonEquations,
+    expect_shapes,
     reduce_person,
 )
 from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
     find_shared_surfaces,
+    map_points,
     reduce_surfaces,
     thin_points,
 )
@@ -47,8 +46,9 @@ _PERSON_GATES = (0.5, 0.4, 0.3, *[0.3] * 13)
 _SURFACE_GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 11)
 # Last steps, on persons and surfaces that stay the same: after six, one of eight halls has not converged.
 _FIXED_STEPS = 10
-# Start values of standard deviations: of samples over their first guesses, and of their views, m; least ones.
-_START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
+# Start values of standard deviations: of samples over their first guesses, and of their views, m, radial and
+# tangential, of LiDARs and of 2-D scanners; least ones.
+_START_VIEWS = (0.03, 0.05), (0.02, 0.05)
 _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
 # Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the
 # probability with which a difference is found where there is none.
@@ -59,14 +59,14 @@ _FALSE_ALARM = 0.001
 
 @dataclass(frozen=True, eq=False)
 class PeopleEquations:
-    """Normal equations from all persons, of the P free states and the 6 means of the shapes of bodies."""
+    """Normal equations from all persons, of the P free states and the 6B means of the shapes of bodies."""
 
     information: Array
-    """(P + 6, P + 6)."""
+    """(P + 6B, P + 6B)."""
     gradient: Array
-    """(P + 6,)."""
+    """(P + 6B,)."""
     scores: Array
-    """(V, P + 6) what each view contributes to the gradient."""
+    """(V, P + 6B) what each view contributes to the gradient."""
     time: Array
     """(V,) of these by the root's clock, s."""
     source: Index
@@ -104,7 +104,7 @@ class SpaceSolution:
     """Of static points."""
     body_noise: BodyNoise
     body: Array
-    """(6,) means of the shapes of bodies."""
+    """(6B,) means of the shapes of bodies."""
     agreement: Array
     """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
     contradiction: Sequence[Contradiction]
@@ -133,21 +133,23 @@ def solve_space(
     """
     free, start = prior > 0, states
     count = int(free.sum())
-    information = np.concatenate([prior[free], SHARED_STDDEV]) ** -2.0
+    flat: NDArray[np.bool_] = np.array([one.flat for one in observations])
+    expected, stddev = expect_shapes(1 + int(flat.sum()))
+    information = np.concatenate([prior[free], stddev]) ** -2.0
     samples = gather_samples(observations)
-    points = [thin_points(one.static.points) for one in observations]
+    points = [thin_points(one.static.points, one.flat) for one in observations]
     noise = NoiseModel.at_start(len(states))
-    body_noise, body = _START_BODY, SHARED_MEAN
+    body_noise, body = _start_body_noise(int(flat.sum())), expected
     persons: list[BodySamples] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
             persons = find_persons(samples, states, person_gate)
-            shared = find_shared_surfaces(points, states, surface_gate)
+            shared = find_shared_surfaces(points, states, surface_gate, flat)
         reduced = [reduce_person(one, states, body_noise, body) for one in persons]
-        people = _add_persons(reduced, free)
+        people = _add_persons(reduced, free, len(body))
         surfaces = reduce_surfaces(shared, states, noise, free)
         H = people.information + np.diag(information)
-        g = people.gradient + np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
+        g = people.gradient + np.append(_deviate(states, start)[free], body - expected) * information
         H[:count, :count] += surfaces.information
         g[:count] += surfaces.gradient
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
@@ -166,11 +168,11 @@ def solve_space(
     ]
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
-    world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
+    world = [map_points(one.static.points, at, one.flat) for at, one in zip(states, observations, strict=True)]
     changes: list[Change] = []
     begin = 0.0
     if persons:
-        left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
+        left = np.append(_deviate(states, start)[free], body - expected) * information
         equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
         places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
         changes = find_changes(equations, free, ends, places - places[0])
@@ -198,8 +200,8 @@ def _condition_on_ranges(covariance: Array, free: NDArray[np.bool_]) -> Array:
     return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(ranges, ranges)], cross.T))
 
 
-def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
-    columns = np.append(np.flatnonzero(free), free.size + np.arange(SHAPE))
+def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_], shape: int) -> PeopleEquations:
+    columns = np.append(np.flatnonzero(free), free.size + np.arange(shape))
     size, none = len(columns), np.zeros(0, dtype=np.intp)
     H, g = np.zeros((size, size)), np.zeros(size)
     for one in persons:
@@ -218,7 +220,7 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
 
     Args:
         people: their equations at the solution.
-        H: (P + 6, P + 6) information of people and surfaces.
+        H: (P + 6B, P + 6B) information of people and surfaces.
         free: (S, 12).
     """
     found = []
@@ -250,11 +252,17 @@ def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Arr
     return np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
 
 
+def _start_body_noise(scanners: int) -> BodyNoise:
+    views = [lidars if k == 0 else scanner for lidars, scanner in _START_VIEWS for k in range(1 + scanners)]
+    return BodyNoise(np.ones(len(views)), np.array(views))
+
+
 def _estimate_body_noise(persons: Sequence[PersonEquations], noise: BodyNoise) -> BodyNoise:
     if not persons:
         return noise
     white, view = (np.sum([getattr(one, name) for one in persons], axis=0) for name in ("white", "view"))
+    scale, bias = (np.sqrt(one[:, 0] / np.maximum(one[:, 1], 1)) for one in (white, view))
     return BodyNoise(
-        np.maximum(np.sqrt(white[:, 0] / np.maximum(white[:, 1], 1)), _MIN_SCALE),
-        np.maximum(np.sqrt(view[:, 0] / np.maximum(view[:, 1], 1)), _MIN_BODY_VIEW),
+        np.where(white[:, 1] > 0, np.maximum(scale, _MIN_SCALE), noise.scale),
+        np.where(view[:, 1] > 0, np.maximum(bias, _MIN_BODY_VIEW), noise.view),
     )

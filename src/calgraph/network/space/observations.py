@@ -1,4 +1,4 @@
-"""What one stationary 3-D LiDAR measured: its floor, static points, and tracks of bodies."""
+"""What one stationary sensor measured: its floor, static points, and tracks of bodies."""
 
 from dataclasses import dataclass
 
@@ -52,7 +52,8 @@ class SpaceObservations:
     """Of one sensor."""
 
     T_floor_sensor: Array
-    """(4, 4) levelled: roll, pitch, and height over its floor; x, y and yaw are zero."""
+    """(4, 4) levelled: roll, pitch, and height over its floor; x, y and yaw are zero. Of a 2-D scanner, which does
+    not measure its floor, what is stated or usual."""
     floor_stddev: Array
     """(3,) of roll and pitch, rad, and height, m."""
     static: StaticPoints
@@ -62,3 +63,5 @@ class SpaceObservations:
     coverage: Array
     """(W, 2) s, when it measured."""
     step: StaticStep | None = None
+    flat: bool = False
+    """Whether it is a 2-D scanner: its points are of one plane in space, and show no surface by themselves."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.network.space.person_paths import SHAPE, BodyNoise, reduce_person
+from calgraph.network.space.person_paths import BodyNoise, reduce_person
 from calgraph.network.space.persons import BodySamples, date_samples
 from calgraph.solver.change_tests import PeriodEquations
 from calgraph.surfaces.sensor_states import SensorState
@@ -27,8 +27,8 @@ def release_periods(
         persons: measurements of each.
         states: the solution.
         noise: of bodies.
-        body: (6,) means of the shapes of bodies.
-        prior: (P + 6,) information on states and means of shapes, and the gradient by it.
+        body: (6B,) means of the shapes of bodies.
+        prior: (P + 6B,) information on states and means of shapes, and the gradient by it.
         free: (S, 12) which states are estimated.
     """
     dates = [date_samples(one, states) for one in persons]
@@ -36,7 +36,7 @@ def release_periods(
     K = max(int((end - begin) // PERIOD), 1)
     numbers = free.size * K
     sensor, period, column = np.nonzero(np.repeat(free[:, None], K, axis=1))
-    rows = np.append((sensor * K + period) * free.shape[1] + column, numbers + np.arange(SHAPE))
+    rows = np.append((sensor * K + period) * free.shape[1] + column, numbers + np.arange(len(body)))
     H, g = np.zeros((len(rows),) * 2), np.zeros(len(rows))
     for one, times in zip(persons, dates, strict=True):
         of = np.clip((times - begin) // PERIOD, 0, K - 1).astype(np.intp)
@@ -44,7 +44,7 @@ def release_periods(
         H += reduced.information[np.ix_(rows, rows)]
         g += reduced.gradient[rows]
     P = int(free.sum())
-    same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], P + np.arange(SHAPE))
-    constant = np.full(SHAPE, -1)
-    equations = PeriodEquations(H, g, np.append(period, constant), np.eye(P + SHAPE)[same], *prior)
+    same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], P + np.arange(len(body)))
+    constant = np.full(len(body), -1)
+    equations = PeriodEquations(H, g, np.append(period, constant), np.eye(P + len(body))[same], *prior)
     return equations, begin + PERIOD * np.arange(1.0, K + 1)

@@ -34,13 +34,16 @@ from calgraph.network.space.persons import (
 from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState
 
 SHAPE = 6
-"""Numbers of a body: depth of the axis behind the front, m, its change with the aspect, between front and back,
+"""Numbers of a slice of a body: depth of the axis behind the front, m, its change with the aspect, between front and back,
 m, lean, and the change of the depth with height and with distance."""
 SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
 """(6,) the mean over persons: an ellipse of 0.25 by 0.45 m has a depth of 0.15 m, and 0.045 of it with the aspect,
 at its median beam."""
 SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
 """(6,) how well it is known before."""
+# By how much slices that 2-D scanners measure, of legs, hips or chests, are less known: depths are twice as
+# different. Their lean is that of this height over the middle of the upper body, m: what is below the hips does not.
+_UNKNOWN_SLICE, _BELOW = np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]), -0.4
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
 _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
 # Height in the middle of the upper body, and usual distance, m.
@@ -62,17 +65,17 @@ _WALKING = 0.3
 
 @dataclass(frozen=True, eq=False)
 class BodyNoise:
-    """Standard deviations of radial and tangential errors."""
+    """Standard deviations of radial errors of B slices of bodies, then of tangential ones."""
 
     scale: Array
-    """(2,) of samples, over their first guesses."""
+    """(2B,) of samples, over their first guesses."""
     view: Array
-    """(2,) of views, m."""
+    """(2B,) of views, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class PersonEquations:
-    """What one person contributes to the normal equations of P = S F + 6 unknowns: states, then what all share."""
+    """What one person contributes to the normal equations of P = S F + 6B unknowns: states, then what all share."""
 
     information: Array
     """(P, P)."""
@@ -85,15 +88,24 @@ class PersonEquations:
     view_sensor: Index
     """(V,) and their sensors."""
     white: Array
-    """(2, 2) expected sums of squared errors of samples over first guesses, and numbers; radial and tangential."""
+    """(2B, 2) expected sums of squared errors of samples over first guesses, and numbers; as :class:`BodyNoise`."""
     view: Array
-    """(2, 2) of the errors of views, m²."""
+    """(2B, 2) of the errors of views, m²."""
     residual: Array
     """(N, 2) of samples beside the errors of views, m."""
     weight: Array
     """(N, 2) of Student's t."""
     path: Array
     """(N, 2) places of the person at the times of samples, world, m."""
+
+
+def expect_shapes(bands: int) -> tuple[Array, Array]:
+    """(6B,) the mean over persons of the shapes of B slices of bodies, and how well it is known before."""
+    return np.tile(SHARED_MEAN, bands), _repeat_stddev(SHARED_STDDEV, bands)
+
+
+def _repeat_stddev(of_upper: Array, bands: int) -> Array:
+    return np.concatenate([of_upper, np.tile(_UNKNOWN_SLICE * of_upper, bands - 1)])
 
 
 def reduce_person(
@@ -109,7 +121,7 @@ def reduce_person(
         samples: of the person, in order of time.
         states: of all sensors.
         noise: of samples and views.
-        shared: (6,) the mean of the shapes of persons.
+        shared: (6B,) the mean of the shapes of persons.
         numbered: which state each sample belongs to (N,), and of how many, where states change with time; one of
             each sensor if left out.
     """
@@ -124,9 +136,11 @@ def reduce_person(
     gather = _gather_views(samples.track, times)
     heading = np.zeros_like(outward)
     for _ in range(_PASSES):
-        rows = _arrange_rows(samples, measured, distance, outward, (first, weights, knots.count), heading, gather)
+        rows = _arrange_rows(
+            samples, measured, distance, outward, (first, weights, knots.count), heading, gather, len(shared)
+        )
         fit = _fit(rows, noise, prior, mean)
-        control = fit.own[:-SHAPE].reshape(-1, 2)
+        control = fit.own[: -len(shared)].reshape(-1, 2)
         path, velocity = (evaluate_spline(control, first, some) for some in (weights, slopes))
         speed = np.hypot(*velocity.T)
         heading = velocity / np.maximum(speed, 1e-6)[:, None] * (speed > _WALKING)[:, None]
@@ -139,12 +153,12 @@ def reduce_person(
     by_states = _arrange_derivatives(rows.direction, by_state, of_state, count)
     H, g, response = _eliminate(rows, fit, by_states, prior, mean)
     # Accelerations are relative to the size of the network: they would else make it smaller, by 0.05 % of halls.
-    path_prior = fit.own[:-SHAPE] @ prior[:-SHAPE, :-SHAPE] @ fit.own[:-SHAPE]
+    path_prior = control.ravel() @ prior[: control.size, : control.size] @ control.ravel()
     size = by_state.shape[2]
     g[size - TIMING - 1 : size * count : size] += path_prior * np.bincount(of_state, minlength=count) / len(times)
     force = (fit.residual - fit.error[rows.view]) * fit.information
     scores = rows.gather @ by_states.multiply(force[:, None]).toarray()
-    scores = np.column_stack([scores, np.zeros((len(scores), SHAPE))])
+    scores = np.column_stack([scores, np.zeros((len(scores), len(shared)))])
     scores += (rows.gather @ rows.by_own.multiply(force[:, None]).tocsr()) @ response
     sizes = np.asarray(rows.gather.sum(axis=1))
     white, of_views = _expect_squares(rows, fit)
@@ -175,6 +189,10 @@ class _Rows:
     """(V, 2N) sums over the rows of each view, radial views first."""
     view: Index
     """(2N,) of each row."""
+    kind: Index
+    """(2N,) which standard deviations of :class:`BodyNoise` are of each row."""
+    shape: int
+    """Numbers 6B of the shape of the body."""
 
 
 def _gather_views(track: Index, times: Array) -> csr_array:
@@ -190,13 +208,15 @@ def _gather_views(track: Index, times: Array) -> csr_array:
 def _arrange_prior(controls: int, shared: Array) -> tuple[Array, Array]:
     """Information (C, C) on path and body, and (C,) what they are expected to be."""
     second = np.diff(np.eye(controls), 2, axis=0) / (_ACCELERATION * _KNOTS**2)
-    size = 2 * controls + SHAPE
+    bands = len(shared) // SHAPE
+    size = 2 * controls + len(shared)
     prior, mean = np.zeros((size, size)), np.zeros(size)
     for axis in range(2):
         path = np.arange(axis, 2 * controls, 2)
         prior[np.ix_(path, path)] = second.T @ second
-    prior[-SHAPE:, -SHAPE:] = np.diag(_PERSON_STDDEV**-2.0)
-    mean[-SHAPE:] = shared
+    stddev = _repeat_stddev(_PERSON_STDDEV, bands)
+    prior[2 * controls :, 2 * controls :] = np.diag(stddev**-2.0)
+    mean[2 * controls :] = shared
     return prior, mean
 
 
@@ -208,45 +228,49 @@ def _arrange_rows(
     basis: tuple[Index, Array, int],
     heading: Array,
     gather: csr_array,
+    numbers: int,
 ) -> _Rows:
-    """Rows for places (N, 3), unit vectors of view (N, 2) and of walk (N, 2), 0 of who stands."""
+    """Rows for places (N, 3), unit vectors of view (N, 2) and of walk (N, 2), 0 of who stands; 6B numbers of shape."""
     N, (first, weights, controls) = len(places), basis
     direction = np.concatenate([outward, np.column_stack([-outward[:, 1], outward[:, 0]])])
-    shape = _derive_by_shape(direction, heading, places[:, 2], distance)
+    above = np.where(samples.band > 0, _BELOW, places[:, 2] - _MIDDLE)
+    shape = _derive_by_shape(direction, heading, above, distance)
     row, sample = np.arange(2 * N), np.tile(np.arange(N), 2)
     control = 2 * (first[sample, None] + np.arange(4))[:, :, None] + np.arange(2)
     by_control = -weights[sample][:, :, None] * direction[:, None, :]
     values = np.concatenate([by_control.ravel(), shape.ravel()])
-    column = np.concatenate([control.ravel(), np.tile(2 * controls + np.arange(SHAPE), 2 * N)])
+    of_shape = 2 * controls + SHAPE * samples.band[sample, None] + np.arange(SHAPE)
+    column = np.concatenate([control.ravel(), of_shape.ravel()])
     of_row = np.concatenate([np.repeat(row, 8), np.repeat(row, SHAPE)])
     return _Rows(
         np.einsum("ri,ri->r", direction, places[sample, :2]),
         direction,
         samples.stddev.T.ravel(),
-        csr_array((values, (of_row, column)), shape=(2 * N, 2 * controls + SHAPE)),
+        csr_array((values, (of_row, column)), shape=(2 * N, 2 * controls + numbers)),
         gather,
         np.asarray(gather.tocsc().indices, dtype=np.intp),
+        np.concatenate([samples.band, samples.band + numbers // SHAPE]),
+        numbers,
     )
 
 
-def _derive_by_shape(direction: Array, heading: Array, heights: Array, distance: Array) -> Array:
-    """(2N, 6) derivatives by the shape of the body.
+def _derive_by_shape(direction: Array, heading: Array, above: Array, distance: Array) -> Array:
+    """(2N, 6) derivatives by the shape of the slice of the body that is measured.
 
     Args:
         direction: (2N, 2) unit vectors, radial ones first.
         heading: (N, 2) unit vectors of walk, 0 of who stands.
-        heights: (N,) over the floor, m.
+        above: (N,) heights over the middle of the upper body, m.
         distance: (N,) from the sensor, m.
     """
     N = len(heading)
     along = np.einsum("ri,ri->r", direction, np.tile(heading, (2, 1)))
-    above = np.tile(heights - _MIDDLE, 2)
     shape = np.zeros((2 * N, SHAPE))
     shape[:N, 0] = 1.0
     shape[:N, 1] = np.where(heading.any(axis=1), 1 - 2 * along[:N] ** 2, 0.0)
     shape[:N, 2] = along[:N]
-    shape[:, 3] = -above * along
-    shape[:N, 4] = above[:N]
+    shape[:, 3] = -np.tile(above, 2) * along
+    shape[:N, 4] = above
     shape[:N, 5] = distance - _USUAL_DISTANCE
     return shape
 
@@ -273,8 +297,8 @@ class _Fit:
 
 def _fit(rows: _Rows, noise: BodyNoise, prior: Array, mean: Array) -> _Fit:
     """By weights from the residuals of the fit before."""
-    stddev = np.repeat(noise.scale, len(rows.base) // 2) * rows.stddev
-    variance = np.repeat(noise.view**2, rows.gather.shape[0] // 2)
+    stddev = noise.scale[rows.kind] * rows.stddev
+    variance = noise.view[_find_kinds(rows)] ** 2
     weight = np.ones(len(stddev))
     for _ in range(_ROUNDS):
         information = weight / stddev**2
@@ -287,6 +311,11 @@ def _fit(rows: _Rows, noise: BodyNoise, prior: Array, mean: Array) -> _Fit:
         error = gain * (rows.gather @ (information * residual))
         weight = (_FREEDOM + 1) / (_FREEDOM + ((residual - error[rows.view]) / stddev) ** 2)
     return _Fit(own, factor, information, gain, residual, error, weight)
+
+
+def _find_kinds(rows: _Rows) -> Index:
+    """(V,) which standard deviations are of each view."""
+    return rows.kind[rows.gather.indices[rows.gather.indptr[:-1]]]
 
 
 def _square(rows: _Rows, information: Array, gain: Array, A: csr_array, B: csr_array | Array) -> Array:
@@ -314,15 +343,16 @@ def _eliminate(
     rows: _Rows, fit: _Fit, by_states: csr_array, prior: Array, mean: Array
 ) -> tuple[Array, Array, Array]:
     """Normal equations of states and shared unknowns without path and body, and (C, P) how these follow."""
-    P, shape = by_states.shape[1], prior[-SHAPE:, -SHAPE:]
-    cross = np.zeros((len(prior), P + SHAPE))
+    P, numbers = by_states.shape[1], rows.shape
+    shape = prior[-numbers:, -numbers:]
+    cross = np.zeros((len(prior), P + numbers))
     cross[:, :P] = _square(rows, fit.information, fit.gain, rows.by_own, by_states)
-    cross[-SHAPE:, P:] = -shape
-    H, g = np.zeros((P + SHAPE,) * 2), np.zeros(P + SHAPE)
+    cross[-numbers:, P:] = -shape
+    H, g = np.zeros((P + numbers,) * 2), np.zeros(P + numbers)
     H[:P, :P] = _square(rows, fit.information, fit.gain, by_states, by_states)
     H[P:, P:] = shape
     g[:P] = _square(rows, fit.information, fit.gain, by_states, fit.residual[:, None])[:, 0]
-    g[P:] = -shape @ (fit.own[-SHAPE:] - mean[-SHAPE:])
+    g[P:] = -shape @ (fit.own[-numbers:] - mean[-numbers:])
     response = -np.asarray(cho_solve(fit.factor, cross, check_finite=False))
     return H + cross.T @ response, g, response
 
@@ -337,9 +367,9 @@ def _expect_squares(rows: _Rows, fit: _Fit) -> tuple[Array, Array]:
     of_views = fit.error**2 + left + np.einsum("vc,vc->v", by_view @ P, by_view.toarray())
     error = fit.residual - fit.error[rows.view]
     square = error**2 + left[rows.view] + np.einsum("rc,rc->r", rest @ P, rest.toarray())
-    white = (fit.weight * square / rows.stddev**2).reshape(2, -1)
-    views = of_views.reshape(2, -1)
-    return (
-        np.column_stack([white.sum(axis=1), np.full(2, white.shape[1])]),
-        np.column_stack([views.sum(axis=1), np.full(2, views.shape[1])]),
+    kinds = 2 * rows.shape // SHAPE
+    white, views = (
+        np.column_stack([np.bincount(kind, some, kinds), np.bincount(kind, minlength=kinds)])
+        for kind, some in ((rows.kind, fit.weight * square / rows.stddev**2), (_find_kinds(rows), of_views))
     )
+    return white, views

@@ -9,6 +9,8 @@ from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
+LEVELLING = slice(2, 5)
+"""Height, roll and pitch among the numbers of a state."""
 # Distance from the front of a body to its axis, m, by which tracks are moved outward before they are compared.
 FRONT = 0.13
 # Least time that tracks of two sensors have in common to be compared, s: a step of a walk.
@@ -36,12 +38,15 @@ class BodySamples:
     """(N, 3) sensor frame, m; see :class:`BodyTrack`."""
     stddev: Array
     """(N, 2) radial and tangential, first guesses, m."""
+    band: Index
+    """(N,) which slice of bodies: 0 are upper bodies, which 3-D LiDARs measure; each 2-D scanner has its own."""
 
     def select(self, rows: Index) -> "BodySamples":
         """Some of them."""
         return BodySamples(
-            self.sensor[rows], self.track[rows], self.time[rows], self.center[rows], self.stddev[rows]
-        )
+            self.sensor[rows], self.track[rows], self.time[rows], self.center[rows], self.stddev[rows],
+            self.band[rows],
+        )  # fmt: skip
 
 
 def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
@@ -50,13 +55,16 @@ def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
     counts = [len(track.times) for _, track in tracks]
     if not sum(counts):
         none = np.zeros(0, dtype=np.intp)
-        return BodySamples(none, none, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 2)))
+        return BodySamples(none, none, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 2)), none)
+    sensor = np.repeat([k for k, _ in tracks], counts)
+    flat: Array = np.array([one.flat for one in observations])
     return BodySamples(
-        np.repeat([k for k, _ in tracks], counts),
+        sensor,
         np.repeat(np.arange(len(tracks)), counts),
         np.concatenate([track.times for _, track in tracks]),
         np.concatenate([track.centers for _, track in tracks]),
         np.concatenate([np.column_stack([t.radial_stddev, t.tangential_stddev]) for _, t in tracks]),
+        np.where(flat, np.cumsum(flat), 0)[sensor],
     )
 
 
@@ -83,12 +91,16 @@ def point_outward(samples: BodySamples, states: Sequence[SensorState], places: A
 
 
 def derive_places(samples: BodySamples, states: Sequence[SensorState], places: Array) -> Array:
-    """(N, 2, 12) derivatives, by the state of the sensor, of samples that are at places (N, 3), m."""
+    """(N, 2, 12) derivatives, by the state of the sensor, of samples that are at places (N, 3), m.
+
+    Places in the plane of a level scanner change with the square of its tilt only, which is left out.
+    """
     derivatives = np.zeros((len(places), 2, 6 + BESIDE_POSE))
     for k, state in enumerate(states):
         of = np.flatnonzero(samples.sensor == k)
         points = se_n.apply(se_n.inverse(state.T_root_sensor), places[of])
         derivatives[of] = state.place(points)[1][:, :2]
+    derivatives[samples.band > 0, :, LEVELLING] = 0.0
     return derivatives
 
 

@@ -1,10 +1,10 @@
-"""Networks in space: from one recording of people walking through a hall to the poses of its 3-D LiDARs."""
+"""Networks in space: from one recording of people walking through a hall to the poses of its sensors."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calgraph.config import Cylinder, Lidar3dSpec, Rig
+from calgraph.config import Cylinder, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
 from calgraph.network.checks.findings import collect_network_findings
@@ -15,6 +15,8 @@ from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.observe import observe_clouds
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
+from calgraph.network.timed_tracks import track_with_beam_times
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.progress import Progress
 from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
@@ -38,15 +40,18 @@ def check_space(rig: Rig, options: NetworkOptions) -> None:
     """Checks what is asked of a network in space.
 
     Raises:
-        InputError: a sensor is no 3-D LiDAR, the target is not people, or an option is of planar networks.
+        InputError: a sensor or the root is of another kind, the target is not people, or an option is of planar
+            networks.
     """
     for name, spec in rig.sensors.items():
-        _lidar_spec(name, spec)
+        _scanning_spec(name, spec)
+    if not isinstance(rig.sensors[rig.root], Lidar3dSpec):
+        raise InputError(f"root: must be a 3-D LiDAR, which measures the floor, where there is one, got {rig.root}")
     if isinstance(rig.target, Cylinder):
         raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
     if options.extend is not None:
         raise InputError(
-            "`extend`: is of networks of 2-D scanners as yet; give a recording of all 3-D LiDARs of the network, "
+            "`extend`: is of networks of 2-D scanners alone as yet; give a recording of all sensors of the network, "
             "without it"
         )
     estimator = options.select_method(rig.settings.published).estimator
@@ -62,7 +67,7 @@ def calibrate_in_space(
     findings: Sequence[Finding],
     progress: Progress,
 ) -> Calibration:
-    """Calibrates stationary 3-D LiDARs from people who walk through their views.
+    """Calibrates stationary 3-D LiDARs, and 2-D scanners, from people who walk through their views.
 
     Args:
         rig: the network, which :func:`check_space` allows.
@@ -73,24 +78,32 @@ def calibrate_in_space(
         progress: called with the step and the fraction done.
     """
     observed, frames = _observe(rig, recording, options, monitor, progress)
-    findings = [*findings, *monitor.findings()]
+    tracked, of_scanners, found = _track_scanners(rig, recording, options, monitor, progress)
+    findings = [*findings, *monitor.findings(), *found]
+    scanners = {name: one for name, one in tracked.items() if isinstance(one, ScannerTracks)}
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
     findings += _describe_steps(rig, measured, recording.start)
     rng = np.random.default_rng(options.seed)
-    start = start_in_space(rig, measured, options, rng, progress)
-    findings += [*start.corrected.findings, *collect_network_findings({}, start.initialization, recording.start)]
-    solution = _solve(rig, measured, start, progress) if len(start.states) > 1 else None
+    start = start_in_space(rig, measured, scanners, options, rng, progress)
+    findings += start.corrected.findings
+    findings += collect_network_findings(tracked, start.initialization, recording.start)
+    solution = _solve(rig, start, progress) if len(start.states) > 1 else None
     if solution is not None:
         names = list(start.states)
         findings += describe_changes(solution.changes, names, rig.root, solution.begin)
-    return assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
+    rejected = {name: one for name, one in (observed | tracked).items() if isinstance(one, Rejected)}
+    result = SpaceResult(
+        {name: rejected.get(name) or start.observed[name] for name in rig.sensors}, frames | of_scanners, start,
+        recording.start, solution, findings,
+    )  # fmt: skip
+    return assemble_space(rig, result)
 
 
 def _observe(
     rig: Rig, recording: Recording, options: NetworkOptions, monitor: InputMonitor, progress: Progress
 ) -> tuple[dict[str, SpaceObservations | Rejected], dict[str, str]]:
-    """What each sensor measured, and the frames that messages state."""
-    specs = {name: _lidar_spec(name, spec) for name, spec in rig.sensors.items()}
+    """What each 3-D LiDAR measured, and the frames that messages state."""
+    specs = {name: spec for name, spec in rig.sensors.items() if isinstance(spec, Lidar3dSpec)}
     names = {rig.topics[name]: name for name in specs}
     splitters = {name: CloudSplitter() for name in specs}
     frames: dict[str, str] = {}
@@ -108,11 +121,23 @@ def _observe(
     return observed, frames
 
 
-def _lidar_spec(name: str, spec: SensorSpec) -> Lidar3dSpec:
-    if not isinstance(spec, Lidar3dSpec):
+def _track_scanners(
+    rig: Rig, recording: Recording, options: NetworkOptions, monitor: InputMonitor, progress: Progress
+) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str], Sequence[Finding]]:
+    """Tracks of the 2-D scanners, the frames that messages state, and what was found about the times of beams."""
+    specs = {name: spec for name, spec in rig.sensors.items() if isinstance(spec, Lidar2dSpec)}
+    if not specs:
+        return {}, {}, ()
+    planar = rig.model_copy(update={"sensors": specs, "root": next(iter(specs))})
+    tracks, frames, findings = track_with_beam_times(planar, recording, options, progress, monitor)
+    return tracks, frames, findings
+
+
+def _scanning_spec(name: str, spec: SensorSpec) -> Lidar2dSpec | Lidar3dSpec:
+    if not isinstance(spec, Lidar2dSpec | Lidar3dSpec):
         raise InputError(
-            f"sensors.{name}.kind: must be lidar3d beside 3-D LiDARs that people calibrate, got {spec.kind}; give "
-            "other sensors a separate rig.yaml"
+            f"sensors.{name}.kind: must be lidar3d or lidar2d beside 3-D LiDARs that people calibrate, got "
+            f"{spec.kind}; give other sensors a separate rig.yaml"
         )
     return spec
 
@@ -130,22 +155,23 @@ def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: 
     ]
 
 
-def _solve(
-    rig: Rig, measured: Mapping[str, SpaceObservations], start: SpaceStart, progress: Progress
-) -> SpaceSolution:
+def _solve(rig: Rig, start: SpaceStart, progress: Progress) -> SpaceSolution:
     names = list(start.states)
     return solve_space(
-        [measured[name] for name in names],
+        [start.observed[name] for name in names],
         list(start.states.values()),
-        np.array([_state_stddev(rig, name) for name in names]),
+        np.array([_state_stddev(rig, name, start.observed[name]) for name in names]),
         lambda done: progress("solving", done),
     )
 
 
-def _state_stddev(rig: Rig, name: str) -> Array:
+def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
     """(12,) of the start of a sensor, in the order of :meth:`SensorState.moved`; times of beams are stated."""
-    stated = _lidar_spec(name, rig.sensors[name]).uncertainty
+    stated = _scanning_spec(name, rig.sensors[name]).uncertainty
     pose = [*[_PLACE_STDDEV] * 3, *[_ROTATION_STDDEV] * 3, _CLOCK_STDDEV]
+    if observed.flat:
+        roll, pitch, height = observed.floor_stddev
+        pose[2:5] = height, roll, pitch
     return np.array(
         [*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale, *[0.0] * TIMING]
     )

@@ -1,17 +1,19 @@
-"""Start poses and clocks of a network of 3-D LiDARs: tracks in their levelled planes are those of a planar one."""
+"""Start poses and clocks of a network in space: tracks in levelled planes are those of a planar one."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.config import Rig
+from calgraph.config import Lidar2dSpec, Rig
 from calgraph.geometry import Array, se2
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.body_tracks import to_scanner_tracks
+from calgraph.network.space.level_scanners import observe_scanner
 from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.parallel.progress import Progress
 from calgraph.surfaces.sensor_states import SensorState
 
@@ -20,6 +22,8 @@ from calgraph.surfaces.sensor_states import SensorState
 class SpaceStart:
     """Start values of the joint solution, and what they come from."""
 
+    observed: Mapping[str, SpaceObservations]
+    """What each sensor measured, 2-D scanners included."""
     corrected: CorrectedPairs
     """Tracks in levelled planes, and their pairs."""
     initialization: NetworkInitialization
@@ -31,6 +35,7 @@ class SpaceStart:
 def start_in_space(
     rig: Rig,
     observations: Mapping[str, SpaceObservations],
+    scanners: Mapping[str, ScannerTracks],
     options: NetworkOptions,
     rng: np.random.Generator,
     progress: Progress,
@@ -39,21 +44,39 @@ def start_in_space(
 
     A levelled sensor has three unknowns beside its clock, those of a planar scanner: pairs are registered and
     averaged as such.
+
+    Args:
+        rig: the network.
+        observations: of 3-D LiDARs.
+        scanners: tracks of 2-D scanners.
+        options: of averaging.
+        rng: of samples.
+        progress: called with the step and the fraction done.
     """
     settings = rig.settings.tracking
     tracked = {name: to_scanner_tracks(one, settings) for name, one in observations.items()}
-    corrected = pair_scanners(rig, tracked, options, rng, progress)
+    # A scan plane that is tilted leaves bodies, and ends on floors: people whom it does not detect before its
+    # background contradict nothing, and walls at several heights differ.
+    bare = {name: replace(one, background=np.zeros((0, 2))) for name, one in scanners.items()}
+    corrected = pair_scanners(rig, {**tracked, **bare}, options, rng, progress)
     start = average_pairs(rig, corrected, options.select_method(rig.settings.published), rng)
     clocks = np.nan_to_num(start.average_clocks()[:, 0])
+    observed, complete = dict(observations), dict(corrected.tracked)
+    for name, one in scanners.items():
+        spec = rig.sensors[name]
+        assert isinstance(spec, Lidar2dSpec)
+        inverted = name in corrected.inverted
+        observed[name] = observe_scanner(one, spec, inverted)
+        complete[name] = replace(complete[name], background=correct_tracks(one, inverted=inverted).background)
     states = {
         name: SensorState(
-            lift_pose(start.solution.T_root_node[node], observations[name]),
+            lift_pose(start.solution.T_root_node[node], observed[name]),
             corrected.clock_offset.get(name, 0.0) + float(clocks[node]),
         )
         for node, name in enumerate(start.names)
-        if name in observations
+        if name in observed
     }
-    return SpaceStart(corrected, start, states)
+    return SpaceStart(observed, replace(corrected, tracked=complete), start, states)
 
 
 def lift_pose(T_plane_sensor: Array, observed: SpaceObservations) -> Array:
