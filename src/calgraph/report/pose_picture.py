@@ -75,12 +75,7 @@ def measure_turn(T_root_board: Array, center: Array, up: Array) -> BoardTurn:
     return BoardTurn(float(turn), float(np.arcsin(np.clip(normal @ up, -1, 1))))
 
 
-def draw_pose(
-    sensors: Sequence[DrawnSensor],
-    T_root_board: Array,
-    size: tuple[float, float],
-    viewer: str,
-) -> str:
+def draw_pose(sensors: Sequence[DrawnSensor], T_root_board: Array, size: tuple[float, float], viewer: str) -> str:
     """An SVG image of a board pose, below 20 kB.
 
     Args:

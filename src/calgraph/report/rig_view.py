@@ -105,7 +105,7 @@ Buttons = dict[str, dict[str, Any]]
 _AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 _BEAM_ELEVATIONS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
-# Height of the figure, px; the point that it looks at in the scene's unit cube, and plotly's vertical angle of view.
+# Height of the figure, px; what it looks at in the scene's unit cube, and plotly's vertical angle of view.
 _HEIGHT, _LOOK_AT, _VERTICAL_VIEW = 560, np.array([0.0, 0.0, -0.12]), np.pi / 4
 # Of a name, px, and the places that it may have, with the direction to the name's middle (x right, y down).
 _CHARACTER_WIDTH, _LINE_HEIGHT = 7.5, 16.0
@@ -207,19 +207,23 @@ def _name_trace(calibration: Calibration, size: float, eye: tuple[float, float, 
     sensors = calibration.sensors
     origins = np.array([s.T_root_sensor[:3, 3] for s in sensors])
     low, high = np.transpose(_axis_ranges(calibration, size))
-    at = _project((origins - (low + high) / 2) / (high - low), np.array(eye))
+    # Names cover no axes, either.
+    axes = np.concatenate(
+        [line for s in sensors for end in (0.5, 1.0) for line in frame_axes(s.T_root_sensor, end * size)]
+    )
+    at, drawn = (_project((of - (low + high) / 2) / (high - low), np.array(eye)) for of in (origins, axes))
     return {
         "type": "scatter3d", "mode": "markers+text", "name": "sensors", "x": origins[:, 0].tolist(),
         "y": origins[:, 1].tolist(), "z": origins[:, 2].tolist(), "text": [s.name for s in sensors],
         # Text in the scene is plain; hover labels interpret tags.
         "customdata": [escape_plotly(s.name) for s in sensors],
-        "textposition": _place_names([s.name for s in sensors], at), "marker": {"size": 4, "color": INK},
+        "textposition": _place_names([s.name for s in sensors], at, drawn), "marker": {"size": 4, "color": INK},
         "hovertemplate": "<b>%{customdata}</b><br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
     }  # fmt: skip
 
 
 def _project(points: Array, eye: Array) -> Array:
-    """(N, 2) pixels, from the middle of the figure, of points (N, 3) of the scene's unit cube in the first view."""
+    """Pixels (N, 2) from the figure's middle, in the first view, of points (N, 3) of the scene's unit cube."""
     ahead = _LOOK_AT - eye
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, [0.0, 0, 1])
@@ -228,10 +232,10 @@ def _project(points: Array, eye: Array) -> Array:
     return viewed[:, :2] / viewed[:, 2:] * _HEIGHT / 2 / np.tan(_VERTICAL_VIEW / 2)
 
 
-def _place_names(names: Sequence[str], at: Array) -> list[str]:
-    """Where each name is, relative to its sensor at a pixel (N, 2), so that names do not cover others or sensors."""
+def _place_names(names: Sequence[str], at: Array, drawn: Array) -> list[str]:
+    """Where each name is, relative to its sensor at a pixel (N, 2): over no name, nor pixels (M, 2) drawn."""
     directions = np.array(list(_NAME_PLACES.values()))
-    boxes = [(p, np.full(2, 6.0)) for p in at]
+    boxes = [(p, np.full(2, 6.0)) for p in drawn]
     chosen = []
     for name, p in zip(names, at, strict=True):
         half = np.array([_CHARACTER_WIDTH * len(name), _LINE_HEIGHT]) / 2
@@ -312,7 +316,10 @@ def _make_scene(calibration: Calibration, size: float, eye: tuple[float, float, 
     return {
         **named,
         "aspectmode": "cube",
-        "camera": {"eye": dict(zip("xyz", eye, strict=True)), "center": dict(zip("xyz", _LOOK_AT.tolist(), strict=True))},
+        "camera": {
+            "eye": dict(zip("xyz", eye, strict=True)),
+            "center": dict(zip("xyz", _LOOK_AT.tolist(), strict=True)),
+        },
     }
 
 

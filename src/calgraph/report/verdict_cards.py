@@ -84,13 +84,15 @@ def render_cards(calibration: Calibration, rig: Rig, words: Vocabulary) -> Marku
     sensors = sorted(calibration.sensors, key=lambda sensor: order[grades[sensor.name]])
     advice = words.advice
     unconnected = {", ".join(names): why for why, names in calibration.evidence.unconnected_by_reason.items()}
-    reasons, shared = share_clauses(unconnected | {s.name: s.verdict.reason for s in sensors if s.parent is not None and s.verdict.reason})
+    reasons, shared = share_clauses(
+        unconnected | {s.name: s.verdict.reason for s in sensors if s.parent is not None and s.verdict.reason}
+    )
     cards = [
         *(_Card("unconnected", names, {}, _explain_unconnected(reasons[names], why, advice))
           for names, why in unconnected.items()),
         *(_Card(
             grades[s.name], s.name, _describe_evidence(calibration, s, words),
-            reasons.get(s.name) or ("" if s.parent is None else advice.get(s.verdict.grade, "")), KINDS[s.kind].title)
+            reasons.get(s.name) or advice.get(s.verdict.grade, "") * (s.parent is not None), KINDS[s.kind].title)
           for s in sensors),
     ]  # fmt: skip
     notes = [f"{mark} {text[:1].upper()}{text[1:]}" for mark, text in shared.items()]

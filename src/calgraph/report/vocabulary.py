@@ -93,10 +93,10 @@ NETWORK_VOCABULARY = Vocabulary(
     no_pairs="No two scanners tracked a person simultaneously.",
     pair_columns=("shared<br>positions", "inliers", "pose<br>difference"),
     graph_caption="""\
-An edge joins two scanners that tracked a person simultaneously. Labels: inliers of the positions (10 Hz) visible to
-both, and RMS of the difference of the pair's pose from the final one. Poses of single pairs are from tracks alone and may
-be centimetres off: they are start values, which the joint solution replaces. Bold: spanning tree of the result;
-dashed: pairs that are inconsistent with the others.""",
+An edge joins two scanners that tracked a person simultaneously. Labels: inliers of the positions (10 Hz) that
+both should measure, and RMS difference of the pair's pose from the final one. Poses of single pairs are from
+tracks alone and may be centimetres off: they are start values, which the joint solution replaces. Bold: spanning
+tree of the result; dashed: pairs that are inconsistent with the others.""",
     fit={"lidar2d": "range residual"},
     errors_caption="""\
 Measured minus predicted range of the beams on people, in the joint solution, which models bodies or legs and
