@@ -112,7 +112,7 @@ def test_3d_scenes_are_rendered(rig_page: Opened, name: str) -> None:
 
 
 def test_captures_are_filtered(rig_page: Opened) -> None:
-    rig_page.page.get_by_text("240 rows").click()
+    rig_page.page.get_by_text("240 rows, one for each").click()
     rig_page.page.locator("#filter-sensor").select_option("camera")
     rig_page.page.locator("#filter-outcome").select_option("not used")
     shown = rig_page.page.locator("#capture-table tbody tr:not([hidden]) .outcome").all_inner_texts()
