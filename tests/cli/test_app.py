@@ -41,6 +41,11 @@ def test_alone_it_shows_its_commands(run: Run) -> None:
     assert [name for name in commands if f"│ {name} " not in text] == []
 
 
+def test_commands_are_in_the_order_of_the_work() -> None:
+    order = ("board", "live", "inspect", "init", "calibrate", "view", "export", "check")
+    assert [name for name in COMMANDS if name in order] == list(order)
+
+
 def help_of(*command: str) -> str:
     """The help of a command on a terminal of 80 columns."""
     result = CliRunner(env={"COLUMNS": "80"}).invoke(app, [*command, "--help"])

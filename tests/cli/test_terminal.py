@@ -25,7 +25,7 @@ def sent(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def test_every_step_shows_how_far_it_is(sent: str) -> None:
     shown = {(step, int(done)) for step, done in re.findall(r"(\w+) [^%\n]*?(\d+)%", plain(sent))}
-    assert {"reading", "detecting", "pairing"} <= {step for step, _ in shown}
+    assert {"reading", "detecting", "pairing", "solving", "checking", "writing"} <= {step for step, _ in shown}
     assert any(0 < done < 100 for step, done in shown if step == "detecting")
 
 

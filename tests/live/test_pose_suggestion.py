@@ -7,7 +7,8 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
-from calgraph.live.rig_solution import estimate_up, suggest_next_pose
+from calgraph.live.rig_solution import suggest_next_pose
+from calgraph.report.pose_picture import estimate_up
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly

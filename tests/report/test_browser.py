@@ -44,7 +44,9 @@ class Opened:
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.goto(path.as_uri())
-        # Figures are drawn when they come near.
+        # Figures are drawn when they come near, and those of folded sections when these are opened.
+        for link in self.page.locator("nav a").all():
+            link.click()
         for place in self.page.locator(".figure").all():
             place.scroll_into_view_if_needed()
             place.locator(".main-svg").first.wait_for(timeout=_PATIENCE)
@@ -110,6 +112,7 @@ def test_3d_scenes_are_rendered(rig_page: Opened, name: str) -> None:
 
 
 def test_captures_are_filtered(rig_page: Opened) -> None:
+    rig_page.page.get_by_text("240 rows, one for each").click()
     rig_page.page.locator("#filter-sensor").select_option("camera")
     rig_page.page.locator("#filter-outcome").select_option("not used")
     shown = rig_page.page.locator("#capture-table tbody tr:not([hidden]) .outcome").all_inner_texts()

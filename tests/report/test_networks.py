@@ -53,7 +53,7 @@ def test_there_is_no_text_on_boards_and_captures(html: str) -> None:
 def test_facts_and_edges_count_walks_and_positions(html: str) -> None:
     words = words_of(html)
     assert "root hall · 3 walks · estimator averaging" in words
-    assert "300 / 340 · 4.0 mm" in words
+    assert "300 of 340 · RMS 4.0 mm" in words
     assert "door &lt;b&gt; – stairs 50 0 – inconsistent with the other pairs" in words
 
 

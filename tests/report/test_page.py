@@ -15,7 +15,19 @@ from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.report import write_report
 from calgraph.report.page import render_report
-from calgraph.result import Calibration, CaptureRow, Edge, FitError, HeldOutError, Pictures, Suggestion, Verdict
+from calgraph.result import (
+    BoardOutline,
+    Calibration,
+    CaptureRow,
+    Edge,
+    FitError,
+    HeldOutError,
+    InputFile,
+    Pictures,
+    Provenance,
+    Suggestion,
+    Verdict,
+)
 
 VOID = {"meta", "br", "input", "link", "img"}
 
@@ -246,7 +258,9 @@ def test_next_captures_are_collapsed_where_all_poses_are_good(calibration: Calib
     evidence = dataclasses.replace(calibration.evidence, suggestions=(step,), unconnected={"sonar": "no board"})
     weak = dataclasses.replace(calibration, evidence=evidence)
     good = tuple(dataclasses.replace(s, verdict=Verdict("good")) for s in calibration.sensors)
-    assert "<h3>Next captures</h3>" in render_report(weak, rig)
+    shown = render_report(weak, rig)
+    assert "<h3>Next captures</h3>" in shown
+    assert "view of laser" in Page(shown).words
     assert "<h3>Next captures</h3>" not in render_report(dataclasses.replace(weak, sensors=good), rig)
 
 
@@ -300,7 +314,7 @@ def test_edges_carry_captures_and_residuals(calibration: Calibration, rig: Rig) 
             rig,
         )
     )
-    assert "40 / 41 · 3.9 mm" in page.words
+    assert "40 of 41 · RMS 3.9 mm" in page.words
 
 
 def test_unused_pairs_have_a_reason(page: Page) -> None:
@@ -348,7 +362,8 @@ def test_the_table_lists_every_row(page: Page, calibration: Calibration) -> None
 
 
 def test_the_most_frequent_reasons_are_counted(calibration: Calibration, rig: Rig) -> None:
-    rows = [CaptureRow(i, 0.0, 1.0, "laser", i == 0, "" if i == 0 else "misses the board") for i in range(4)]
+    """Those that differ in numbers only are one."""
+    rows = [CaptureRow(100 + i, 0.0, 1.0, "laser", i == 0, f"too short: 0.{i} m" if i else "") for i in range(4)]
     page = Page(
         render_report(
             dataclasses.replace(
@@ -357,7 +372,39 @@ def test_the_most_frequent_reasons_are_counted(calibration: Calibration, rig: Ri
             rig,
         )
     )
-    assert "laser 1 of 4 misses the board (3)" in page.words
+    assert "laser 1 of 4 too short: … m (3)" in page.words
+
+
+def test_a_board_out_of_view_is_no_rejection(calibration: Calibration, rig: Rig) -> None:
+    """Behind the camera, which faces x, and above the laser."""
+    corners = np.array([[-2.0, y, z] for y, z in ((-0.5, 0), (0.5, 0), (0.5, 0.8), (-0.5, 0.8))])
+    rows = [CaptureRow(0, 0.0, 1.0, name, False, "no tag found") for name in ("camera", "camera_rear", "laser")]
+    page = Page(
+        render_report(
+            dataclasses.replace(
+                calibration,
+                evidence=dataclasses.replace(calibration.evidence, captures=tuple(rows)),
+                pictures=Pictures(board_outlines=(BoardOutline(0, corners),)),
+            ),
+            rig,
+        )
+    )
+    matrix = page.figures["captures"]["data"][0]
+    assert [matrix["z"][matrix["y"].index(row.sensor)][0] for row in rows] == [0, 1, 0]
+    assert "camera 0 of 1 the board was not in its view (1) camera_rear 0 of 1 no tag found (1)" in page.words
+
+
+def test_the_header_names_rig_recording_and_date(calibration: Calibration, rig: Rig) -> None:
+    inputs = (InputFile("robot/rig.yaml", "a" * 64), InputFile("robot/take_1", "b" * 64))
+    made = Provenance("0.3", "2026-11-29T13:00:00+00:00", "calgraph calibrate", inputs, 1.7e9, 37.4, 800)
+    words = Page(render_report(dataclasses.replace(calibration, provenance=made), rig)).words
+    header = words[: words.index("Verdict")]
+    assert "rig robot/rig.yaml · recording robot/take_1, 37 s from 2023-11-14 22:13:20 UTC" in header
+    assert "calibrated 2026-11-29" in header
+
+
+def test_the_root_has_a_card(page: Page) -> None:
+    assert "lidar 3-D LiDAR ◎ root pose is the reference captures used" in page.words
 
 
 @pytest.mark.parametrize("part", ["captures", "edges", "board_outlines"])

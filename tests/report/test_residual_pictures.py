@@ -126,6 +126,12 @@ def test_a_step_over_time_is_drawn_per_capture(pictured: Calibration, rig: Rig) 
     assert np.mean(trace(figure, "RMS")["y"]) > 1e3 * RANGE
 
 
+def test_lines_over_time_stop_at_gaps(pictured: Calibration, rig: Rig) -> None:
+    views = tuple(view for view in pictured.pictures.board_views if not 10 <= view.capture < 40)
+    over_time = trace(drawn(with_views(pictured, views), rig)["errors-0-2"], "RMS")
+    assert over_time["x"].count(None) == over_time["y"].count(None) == 1
+
+
 def test_a_network_has_its_ranges_over_time_in_bins(network: Calibration, network_rig: Rig) -> None:
     rng = np.random.default_rng(0)
     times, points = np.linspace(0, 60, 2000), rng.uniform(2, 8, (2000, 2))

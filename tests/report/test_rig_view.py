@@ -83,6 +83,12 @@ def test_every_sensor_is_named_at_its_position(calibration: Calibration, rig: Ri
     np.testing.assert_allclose([named[k][i] for k in "xyz"], calibration["laser_low"].T_root_sensor[:3, 3])
 
 
+def test_names_of_sensors_in_one_place_are_apart(calibration: Calibration, rig: Rig) -> None:
+    stacked = tuple(dataclasses.replace(s, T_root_sensor=np.eye(4)) for s in calibration.sensors)
+    named = traces(dataclasses.replace(calibration, sensors=stacked), rig)["sensors"]
+    assert len(set(named["textposition"])) == len(calibration.sensors)
+
+
 def test_all_boards_are_drawn(calibration: Calibration, rig: Rig) -> None:
     boards = traces(calibration, rig)["boards"]
     assert len(boards["x"]) == 6 * len(calibration.pictures.board_outlines)

@@ -44,27 +44,28 @@ def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+# In the order of the work with them.
 COMMANDS = {
     name: LazyCommand(f"calgraph.cli.{name}", name, summary)
     for name, summary in {
-        "calibrate": "Estimate the relative poses of all sensors of a rig, a network, or a robot that drives.",
-        "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
-        "check": "Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and "
-        "axis, and why.",
-        "verify": "Test the covariances of a rig's calibration by a bootstrap over its captures.",
         "demo": "Simulate a five-sensor robot, calibrate it, and compare with the ground truth.",
-        "init": "Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure.",
-        "plan": "Predict the errors of a rig's poses before recording, and list the best places for the board.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
+        "plan": "Predict the errors of a rig's poses before recording, and list the best places for the board.",
+        "live": "Record a running robot, watch sensors and captures on a phone, and calibrate.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
+        "init": "Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure.",
+        "intrinsics": "Estimate the intrinsics of cameras from images of a board, which may move.",
+        "calibrate": "Estimate the relative poses of all sensors of a rig, a network, or a robot that drives.",
+        "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info, "
         "corrections or JSON.",
-        "live": "Record a running robot, watch sensors and captures on a phone, and calibrate.",
+        "check": "Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and "
+        "axis, and why.",
         "fleet": "Calibrate or check the recordings of many robots, and report which sensor of which robot moved "
         "when.",
-        "intrinsics": "Estimate the intrinsics of cameras from images of a board, which may move.",
+        "verify": "Test the covariances of a rig's calibration by a bootstrap over its captures.",
+        "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
         "cache": "Show where detections are kept for later runs, and their size; or remove them.",
-        "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",
     }.items()
 }
 SIMULATIONS = {

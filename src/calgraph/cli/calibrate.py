@@ -184,7 +184,9 @@ def calibrate(
             ]
             calibration = replace(calibration, provenance=describe_run(read, recording, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
-        write_results(calibration, rig, folder, engine.jobs)
+            progress("writing", 0.0)
+            write_results(calibration, rig, folder, engine.jobs)
+            progress("writing", 1.0)
     show_results(calibration, out, json=json, strict=strict)
 
 

@@ -2,15 +2,21 @@
 
 import functools
 import inspect
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
 import typer
+from rich.markup import escape
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
+from calgraph.cli.console import console
 from calgraph.cli.progress import VerboseOption, log_steps
+
+# Of all errors of the parser; its module depends on the version.
+_ParserError: type[typer.BadParameter] = typer.BadParameter.__mro__[2]
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,22 @@ def lazy_group(
     """
 
     class OnDemand(TyperGroup):
+        def main(self, *args: Any, standalone_mode: bool = True, **settings: Any) -> Any:
+            """Runs a command; errors of usage are a line, as others are, not typer's box."""
+            try:
+                code = super().main(*args, standalone_mode=False, **settings)
+            except typer.Abort:
+                code = 1
+            except _ParserError as error:
+                code = 2
+                # Without arguments, the help was printed.
+                if type(error).__name__ != "NoArgsIsHelpError":
+                    context = getattr(error, "ctx", None)
+                    command = context.command_path if context else "calgraph"
+                    message = f"{escape(error.format_message().rstrip('.'))}; see {command} --help"
+                    console(stderr=True).print(f"[bold red]calgraph:[/] {message}", soft_wrap=True)
+            return sys.exit(code) if standalone_mode else code
+
         def __init__(self, **settings: Any) -> None:
             super().__init__(**settings)
             listed = {name: TyperCommand(name, help=place.summary) for name, place in commands.items()}

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
-from calgraph.live.pose_picture import draw_pose
 from calgraph.live.sensor_solution import SensorSolution, describe_sensors
 from calgraph.live.state import Advice, SceneState
+from calgraph.report.pose_picture import DrawnSensor, draw_pose, estimate_up
 from calgraph.result import Calibration, Remedy, Suggestion
 from calgraph.rig.bundle.problem import explain_singular_equations
 from calgraph.rig.bundle.solution import SolvedBundle
@@ -143,17 +143,14 @@ def _advise(
     return Advice(reasons[0]) if reasons else None
 
 
-# Smallest angle by which the picture asks for a board that is tilted or turned, rad (5°): a person holds it no
-# more precisely.
-_MIN_ANGLE = float(np.radians(5))
-
-
 def _draw_suggestion(rig: Rig, sensors: Sequence[SensorSolution], suggestion: Suggestion) -> str:
     """The picture of a suggestion, as viewed by its sensor, or a camera."""
-    drawn = sorted((one for one in sensors if one.T_root_sensor is not None), key=lambda one: one.name != rig.root)
-    poses = {one.name: one.T_root_sensor for one in drawn if one.T_root_sensor is not None}
-    up = estimate_up({one.name: one.kind for one in drawn}, poses)
-    return draw_pose(drawn, suggestion.T_root_board, rig.board_size, up, suggestion.sensor, _MIN_ANGLE)
+    drawn = [
+        DrawnSensor(one.name, one.kind, one.T_root_sensor, one.field_of_view)
+        for one in sorted(sensors, key=lambda one: one.name != rig.root)
+        if one.T_root_sensor is not None
+    ]
+    return draw_pose(drawn, suggestion.T_root_board, rig.board_size, suggestion.sensor)
 
 
 def _measure_field_of_view(camera: CameraModel | None) -> tuple[float, float] | None:
@@ -232,18 +229,6 @@ def suggest_next_pose(rig: Rig, solved: SolvedBundle, last: Suggestion | None) -
         solved, kinds, rig.board_size, rng, rig.tolerance, settings, up=up, is_reachable=is_reachable
     )
     return found[0] if found else None
-
-
-def estimate_up(kinds: Mapping[str, str], T_root_sensor: Mapping[str, Array]) -> Array:
-    """The direction (3,) in the root's frame that is up for most sensors, as they are usually mounted.
-
-    Scanners turn about the vertical, and cameras are upright. Of all sensors' directions it is the one nearest to
-    the others, so that single sensors on their sides or upside down do not matter.
-    """
-    directions = np.array(
-        [-T[:3, 1] if KINDS[kinds[name]].optical else T[:3, 2] for name, T in T_root_sensor.items()]
-    )
-    return np.asarray(directions[np.argmax(np.sum(np.clip(directions @ directions.T, 0, 1), axis=1))])
 
 
 # Maximum height of the board's centre above or below the median of its heights until now, m: a person holds a

@@ -1,42 +1,50 @@
 """Outcome of each capture in each sensor, or of each walk: a figure, and a searchable table."""
 
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from textwrap import wrap
 
 import numpy as np
 from markupsafe import Markup
 
+from calgraph.config import Rig
+from calgraph.geometry import Array, se3
 from calgraph.report.figures import BLUE, NO_DATA, ORANGE, RULE, Figure, escape_plotly, make_figure, render_figure
 from calgraph.report.formatting import format_fixed, format_length
 from calgraph.report.templates import render
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, CaptureRow
+from calgraph.result.calibrated_cameras import calibrated_cameras
+from calgraph.sensors.kinds import KINDS
 
 _ABSENT, _REJECTED, _USED = 0, 1, 2
+_NUMBER = re.compile(r"[-−]?\d+(\.\d+)?")
 # Largest number of rows in the figure and in the table: browsers get slow with many more.
 _MAX_ROWS = 6000
 # Characters of a line of a hover label.
 _LABEL_WIDTH = 60
 
 
-def render_captures(calibration: Calibration, words: Vocabulary) -> Markup:
+def render_captures(calibration: Calibration, rig: Rig, words: Vocabulary) -> Markup:
     """Figure, reasons and table; a sentence where there are no captures."""
     rows = calibration.evidence.captures
     if not rows:
         return Markup('<p class="empty">{}</p>').format(words.no_items)
     names = _ordered_names(calibration)
     shown = rows[:: len(rows) // _MAX_ROWS + 1]
-    draw = walk_timeline if words.item == "walk" else _outcome_matrix
+    outside = _find_outside(calibration, rig)
+    walks = words.item == "walk"
+    drawing = walk_timeline(shown, names) if walks else _outcome_matrix(shown, names, outside)
     return render(
         "captures.html",
         words=words,
         count=len({row.capture for row in rows}),
         total=len(rows),
         shown=shown,
-        sensors=[_count_outcomes(name, rows) for name in names],
+        sensors=[_count_outcomes(name, rows, outside) for name in names],
         figure=render_figure(
-            "captures", draw(shown, names), 84 + 26 * len(names), f"Outcome of each {words.item} in each sensor"
+            "captures", drawing, 84 + 26 * len(names), f"Outcome of each {words.item} in each sensor"
         ),
     )
 
@@ -51,7 +59,33 @@ def _ordered_names(calibration: Calibration) -> list[str]:
     )
 
 
-def _outcome_matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:
+_Outside = Callable[[CaptureRow], bool]
+"""Whether the board was out of a sensor's view."""
+
+
+def _find_outside(calibration: Calibration, rig: Rig) -> _Outside:
+    """By the final poses: no corner of the board is in the image, or all are on one side of the scan plane."""
+    boards: dict[int, list[Array]] = {}
+    for outline in calibration.pictures.board_outlines:
+        boards.setdefault(outline.capture, []).append(outline.corners)
+    sensors = {sensor.name: sensor for sensor in calibration.sensors}
+    cameras = calibrated_cameras(calibration, rig)
+
+    def is_outside(row: CaptureRow) -> bool:
+        if row.used or row.sensor not in sensors or row.capture not in boards:
+            return False
+        sensor = sensors[row.sensor]
+        corners = se3.apply(se3.inverse(sensor.T_root_sensor), np.array(boards[row.capture]))
+        if row.sensor in cameras:
+            camera = cameras[row.sensor]
+            return not camera.contains(camera.project(corners.reshape(-1, 3))).any()
+        above = corners[..., 2] > 0
+        return KINDS[sensor.kind].shape == "disc" and bool((above.all(axis=1) | ~above.any(axis=1)).all())
+
+    return is_outside
+
+
+def _outcome_matrix(rows: tuple[CaptureRow, ...], names: list[str], outside: _Outside) -> Figure:
     numbers = sorted({row.capture for row in rows})
     column = {number: i for i, number in enumerate(numbers)}
     line = {name: i for i, name in enumerate(names)}
@@ -59,8 +93,8 @@ def _outcome_matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:
     words = [[f"<b>{escape_plotly(name)}</b>, capture {n}<br>no measurement" for n in numbers] for name in names]
     for row in rows:
         i, j = line[row.sensor], column[row.capture]
-        outcome[i, j] = _USED if row.used else _REJECTED
-        words[i][j] = _hover_text(row)
+        outcome[i, j] = _USED if row.used else _ABSENT if outside(row) else _REJECTED
+        words[i][j] = _hover_text(row) + ("<br>the board was not in its view" if outside(row) else "")
     colors = [[0, NO_DATA], [1 / 3, NO_DATA], [1 / 3, ORANGE], [2 / 3, ORANGE], [2 / 3, BLUE], [1, BLUE]]
     cells = {
         "type": "heatmap", "z": outcome, "zmin": -0.5, "zmax": 2.5, "colorscale": colors, "showscale": False,
@@ -102,10 +136,22 @@ def _wrap_text(text: str) -> str:
     return "<br>".join(map(escape_plotly, lines))
 
 
-def _count_outcomes(name: str, rows: Sequence[CaptureRow]) -> tuple[str, int, int, list[tuple[str, int]]]:
-    """Of one sensor: name, numbers of used and of all captures, and the most frequent reasons of rejections."""
+def _count_outcomes(
+    name: str, rows: Sequence[CaptureRow], outside: _Outside
+) -> tuple[str, int, int, list[tuple[str, int]]]:
+    """Of one sensor: name, numbers of used and of all captures, and the most frequent reasons of rejections.
+
+    Reasons that differ in numbers only are one.
+    """
     of_sensor = [row for row in rows if row.sensor == name]
-    common = Counter(row.reason or "no reason given" for row in of_sensor if not row.used).most_common(3)
+    reasons: dict[str, list[str]] = {}
+    for row in of_sensor:
+        if not row.used:
+            reason = "the board was not in its view" if outside(row) else row.reason or "no reason given"
+            reasons.setdefault(_NUMBER.sub("…", reason), []).append(reason)
+    common = Counter({
+        each[0] if len(set(each)) == 1 else general: len(each) for general, each in reasons.items()
+    }).most_common(4)  # fmt: skip
     return name, sum(row.used for row in of_sensor), len(of_sensor), common
 
 

@@ -13,7 +13,7 @@ from calgraph.sensors.kinds import KINDS
 # Sizes of the drawing, of a sensor's box and of a label, pixels.
 _WIDTH, _HEIGHT, _HEIGHT_PER_SENSOR = 1040, 440, 90
 _NODE_SIZE = np.array([150.0, 44.0])
-_LABEL_SIZE = np.array([128.0, 20.0])
+_LABEL_SIZE = np.array([156.0, 20.0])
 _MAX_LABELED_SENSORS = 8
 """With more sensors than this only edges of the tree are labelled, and unused edges are only in the table."""
 _MAX_UNSCALED_SENSORS = 14
@@ -115,8 +115,8 @@ def _overlap_areas(labels: Array, others: Array, sizes: Array) -> Array:
 def _edge_label(edge: Edge) -> str:
     if edge.inliers == 0:
         return f"{edge.captures} shared, unused"
-    residual = "" if edge.residual_rms is None else f" · {format_length(edge.residual_rms)}"
-    return f"{edge.inliers} / {edge.captures}{residual}"
+    residual = "" if edge.residual_rms is None else f" · RMS {format_length(edge.residual_rms)}"
+    return f"{edge.inliers} of {edge.captures}{residual}"
 
 
 def _describe_node(name: str, calibration: Calibration) -> tuple[str, str]:

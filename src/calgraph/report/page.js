@@ -53,13 +53,26 @@ const near = new IntersectionObserver(
 for (const id of figures.keys()) near.observe(document.getElementById(id));
 const redraw = () => figures.forEach((one, id) => one.drawn && draw(id));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+const sections = document.querySelectorAll("details.section");
 const onPaper = (yes) => {
+  // Those that the reader opened remain open.
+  for (const one of sections) {
+    if (yes) one.dataset.opened = one.open;
+    one.open = yes || one.dataset.opened === "true";
+  }
   document.documentElement.classList.toggle("on-paper", yes);
   figures.forEach((_, id) => draw(id));
   for (const place of document.querySelectorAll(".figure")) Plotly.Plots.resize(place);
 };
 window.addEventListener("beforeprint", () => onPaper(true));
 window.addEventListener("afterprint", () => onPaper(false));
+
+// A link to a folded section opens it.
+const unfold = () => {
+  for (const one of sections) if (location.hash === `#${one.id}`) one.open = true;
+};
+window.addEventListener("hashchange", unfold);
+unfold();
 
 // The table of captures.
 const table = document.getElementById("capture-table");

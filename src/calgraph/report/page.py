@@ -4,6 +4,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -73,11 +74,10 @@ def _render_page(
         words=words,
         tolerance=rig.tolerance,
         confidence=rig.settings.diagnostics.verdict.tolerance_confidence,
-        others=len(rig.sensors) - 1,
         count=_count_items(calibration, words),
         headline=summarize_verdicts(calibration),
         next_step=describe_next_step(calibration),
-        cards=render_cards(calibration, words),
+        cards=render_cards(calibration, rig, words),
         poses=_render_poses(calibration),
         budget=render_budget(calibration),
         graph=render_graph(calibration, words),
@@ -89,8 +89,8 @@ def _render_page(
         residuals=render_residuals(calibration, words),
         systematic=render_systematic_parameters(calibration),
         coverage=render_coverage(calibration, rig, words),
-        captures=render_captures(calibration, words),
-        provenance=_list_provenance(calibration.provenance),
+        captures=render_captures(calibration, rig, words),
+        made=_describe_provenance(calibration.provenance),
         plotly=read_asset("plotly", "package_data/plotly.min.js"),
         gallery=gallery(),
         cloud=cloud(),
@@ -121,19 +121,23 @@ def _render_poses(calibration: Calibration) -> Markup:
     return render("poses.html", calibration=calibration, poses=poses, base_axes=base_axes)
 
 
-def _list_provenance(provenance: Provenance | None) -> list[tuple[str, str]]:
-    """The program, the command and the input files; nothing where they are unknown."""
+def _describe_provenance(provenance: Provenance | None) -> dict[str, Any] | None:
+    """Rig, recording and date for the header, and rows of the program, the command and the input files."""
     if provenance is None:
-        return []
+        return None
     rows = [
         ("calgraph", provenance.version),
         ("date", provenance.date),
         ("command", provenance.command),
         *((one.path, f"SHA-256 {one.sha256}") for one in provenance.inputs),
     ]
+    # The rig first, then the recordings, and prior or earlier poses.
+    rig, *others = (one.path for one in provenance.inputs) if provenance.inputs else ("",)
+    recording = ", ".join(others)
     if provenance.start is not None and provenance.duration is not None:
-        start = datetime.fromtimestamp(provenance.start, UTC).isoformat(timespec="seconds")
+        start = f"{datetime.fromtimestamp(provenance.start, UTC):%Y-%m-%d %H:%M:%S} UTC"
         rows.append(("recording", f"{provenance.duration:.1f} s from {start}, {provenance.messages} messages"))
+        recording += f", {provenance.duration:.0f} s from {start}"
     if provenance.cached:
         rows.append(("from the cache", f"detections of {', '.join(provenance.cached)}"))
-    return rows
+    return {"rig": rig, "recording": recording, "date": provenance.date[:10], "rows": rows}

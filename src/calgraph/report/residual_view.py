@@ -132,6 +132,8 @@ _MAX_EXPANDED = 12
 _BINS, _MIN_IN_BIN = 16, 8
 # Times that are drawn one by one, as captures are; more are binned.
 _MAX_TIMES = 80
+# Lines over time stop where the next time is farther than this, in median steps.
+_GAP = 3.0
 # Smallest drawn length of the median reprojection error, relative to the image width.
 _VISIBLE_ERROR = 0.02
 _HEIGHT = 300
@@ -339,6 +341,9 @@ def _over_time(of: _Residuals) -> Figure:
     at = np.array([of.time[rows].mean() for rows in each])
     total = np.array([np.sqrt(np.mean(np.sum(of.error[rows] ** 2, axis=1))) for rows in each])
     means = np.array([of.error[rows].mean(axis=0) for rows in each]).reshape(len(each), -1)
+    steps = np.diff(at)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    at, total, means = (np.insert(values, gaps, np.nan, axis=0) for values in (at, total, means))
     unit = "px" if of.error.shape[1] == 2 else "mm"
     names = ("mean in x", "mean in y") if unit == "px" else ("mean",)
     colors = (BLUE, VERMILION)
@@ -357,10 +362,13 @@ def _bin(x: Array, error: Array) -> tuple[Array, Array, Array]:
     """Centres, means and standard deviations of the residuals in bins of equal width."""
     edges = np.linspace(x.min(), x.max(), _BINS + 1)
     group = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
-    full = [k for k in range(_BINS) if np.sum(group == k) >= _MIN_IN_BIN]
-    centers = (edges[:-1] + edges[1:])[full] / 2
-    means = np.array([error[group == k].mean() for k in full])
-    return centers, means, np.array([error[group == k].std() for k in full])
+    # NaN, at which lines stop, where there are too few.
+    means, deviations = np.full((2, _BINS), np.nan)
+    for k in range(_BINS):
+        rows = group == k
+        if np.sum(rows) >= _MIN_IN_BIN:
+            means[k], deviations[k] = error[rows].mean(), error[rows].std()
+    return (edges[:-1] + edges[1:]) / 2, means, deviations
 
 
 def _symmetric_limits(error: Array) -> list[float]:

@@ -105,6 +105,14 @@ Buttons = dict[str, dict[str, Any]]
 _AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 _BEAM_ELEVATIONS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
+# Height of the figure, px; what it looks at in the scene's unit cube, and plotly's vertical angle of view.
+_HEIGHT, _LOOK_AT, _VERTICAL_VIEW = 560, np.array([0.0, 0.0, -0.12]), np.pi / 4
+# Of a name, px, and the places that it may have, with the direction to the name's middle (x right, y down).
+_CHARACTER_WIDTH, _LINE_HEIGHT = 7.5, 16.0
+_NAME_PLACES = {
+    "top center": (0, -1), "bottom center": (0, 1), "middle right": (1, 0), "middle left": (-1, 0),
+    "top right": (1, -1), "top left": (-1, -1), "bottom right": (1, 1), "bottom left": (-1, 1),
+}  # fmt: skip
 # Static points of all LiDARs of a network: more make browsers slow, and the file large.
 _MAX_POINTS = 24_000
 
@@ -117,12 +125,14 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
         rig: its configuration.
     """
     size = _axis_length(calibration)
+    # A hall is viewed from higher up, over its walls.
+    eye = (0.95, -0.95, 0.95) if rig.is_network else (1.25, -1.25, 0.7)
     outlines = calibration.pictures.board_outlines
     of_rig = [
         *(_line_trace(
             f"{name} axes", [frame_axes(s.T_root_sensor, size)[i] for s in calibration.sensors], color, 5)
           for i, (name, color) in enumerate(_AXES)),
-        _name_trace(calibration.sensors),
+        _name_trace(calibration, size, eye),
         _line_trace("camera views", _camera_frustums(calibration, rig, size), PURPLE, 2),
         *_disc_traces(calibration, 1.8 * size),
         _line_trace("2-D scan planes", _scan_circles(calibration, "disc", 1.8 * size, (0.0,)), BROWN, 2),
@@ -146,8 +156,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
     layout = {
         "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
-        # A hall is viewed from higher up, over its walls.
-        "scene": _make_scene(calibration, size, (0.95, -0.95, 0.95) if rig.is_network else (1.25, -1.25, 0.7)),
+        "scene": _make_scene(calibration, size, eye),
     }
     labels = ("the LiDARs", "with walls and walks") if rig.is_network else ("the rig", "with the boards")
     view = _view_buttons(calibration, size, (len(of_rig), len(around)), labels)
@@ -159,7 +168,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
             Chooser("Size of the ellipsoids", _size_buttons(len(fixed), len(sensors), sizes), len(sizes))
         )
     return render_figure(
-        "rig", make_figure([*fixed, *ellipsoids], **layout), 560, "The rig in space", choosers, caption
+        "rig", make_figure([*fixed, *ellipsoids], **layout), _HEIGHT, "The rig in space", choosers, caption
     )
 
 
@@ -194,16 +203,48 @@ def _line_trace(name: str, lines: Sequence[Polyline], color: str, width: float) 
     }  # fmt: skip
 
 
-def _name_trace(sensors: Sequence[SensorPose]) -> dict[str, Any]:
+def _name_trace(calibration: Calibration, size: float, eye: tuple[float, float, float]) -> dict[str, Any]:
+    sensors = calibration.sensors
     origins = np.array([s.T_root_sensor[:3, 3] for s in sensors])
+    low, high = np.transpose(_axis_ranges(calibration, size))
+    # Names cover no axes, either.
+    axes = np.concatenate(
+        [line for s in sensors for end in (0.5, 1.0) for line in frame_axes(s.T_root_sensor, end * size)]
+    )
+    at, drawn = (_project((of - (low + high) / 2) / (high - low), np.array(eye)) for of in (origins, axes))
     return {
         "type": "scatter3d", "mode": "markers+text", "name": "sensors", "x": origins[:, 0].tolist(),
         "y": origins[:, 1].tolist(), "z": origins[:, 2].tolist(), "text": [s.name for s in sensors],
         # Text in the scene is plain; hover labels interpret tags.
         "customdata": [escape_plotly(s.name) for s in sensors],
-        "textposition": "top center", "marker": {"size": 4, "color": INK},
+        "textposition": _place_names([s.name for s in sensors], at, drawn), "marker": {"size": 4, "color": INK},
         "hovertemplate": "<b>%{customdata}</b><br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
     }  # fmt: skip
+
+
+def _project(points: Array, eye: Array) -> Array:
+    """Pixels (N, 2) from the figure's middle, in the first view, of points (N, 3) of the scene's unit cube."""
+    ahead = _LOOK_AT - eye
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0, 1])
+    right /= np.linalg.norm(right)
+    viewed = (points - eye) @ np.stack([right, np.cross(ahead, right), ahead], axis=1)
+    return viewed[:, :2] / viewed[:, 2:] * _HEIGHT / 2 / np.tan(_VERTICAL_VIEW / 2)
+
+
+def _place_names(names: Sequence[str], at: Array, drawn: Array) -> list[str]:
+    """Where each name is, relative to its sensor at a pixel (N, 2): over no name, nor pixels (M, 2) drawn."""
+    directions = np.array(list(_NAME_PLACES.values()))
+    boxes = [(p, np.full(2, 6.0)) for p in drawn]
+    chosen = []
+    for name, p in zip(names, at, strict=True):
+        half = np.array([_CHARACTER_WIDTH * len(name), _LINE_HEIGHT]) / 2
+        centers = p + directions * (half + 6)
+        sides = [np.maximum(half + other - np.abs(centers - middle), 0) for middle, other in boxes]
+        best = int(np.argmin(np.prod(sides, axis=-1).sum(axis=0)))
+        boxes.append((centers[best], half))
+        chosen.append(list(_NAME_PLACES)[best])
+    return chosen
 
 
 def _camera_frustums(calibration: Calibration, rig: Rig, size: float) -> list[Polyline]:
@@ -275,7 +316,10 @@ def _make_scene(calibration: Calibration, size: float, eye: tuple[float, float, 
     return {
         **named,
         "aspectmode": "cube",
-        "camera": {"eye": dict(zip("xyz", eye, strict=True)), "center": {"x": 0, "y": 0, "z": -0.12}},
+        "camera": {
+            "eye": dict(zip("xyz", eye, strict=True)),
+            "center": dict(zip("xyz", _LOOK_AT.tolist(), strict=True)),
+        },
     }
 
 

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from calgraph.config import Rig
 from calgraph.report.formatting import format_angle, format_count, format_length
+from calgraph.report.pose_picture import DrawnSensor, draw_pose
 from calgraph.report.templates import render
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
@@ -72,29 +74,35 @@ class _Card:
     kind: str = ""
 
 
-def render_cards(calibration: Calibration, words: Vocabulary) -> Markup:
+def render_cards(calibration: Calibration, rig: Rig, words: Vocabulary) -> Markup:
     """A card for each sensor, those that need attention first; one for all without a pose for the same reason.
 
     With the remarks on the whole result, but for those that are on cards, and the next best captures.
     """
-    order = {"unobservable": 0, "weak": 1, "good": 2}
-    sensors = sorted(
-        (sensor for sensor in calibration.sensors if sensor.parent is not None),
-        key=lambda sensor: order[sensor.verdict.grade],
-    )
+    order = {"unobservable": 0, "weak": 1, "root": 2, "good": 3}
+    grades = {s.name: s.verdict.grade if s.parent is not None else "root" for s in calibration.sensors}
+    sensors = sorted(calibration.sensors, key=lambda sensor: order[grades[sensor.name]])
     advice = words.advice
     unconnected = {", ".join(names): why for why, names in calibration.evidence.unconnected_by_reason.items()}
-    reasons, shared = share_clauses(unconnected | {s.name: s.verdict.reason for s in sensors if s.verdict.reason})
+    reasons, shared = share_clauses(
+        unconnected | {s.name: s.verdict.reason for s in sensors if s.parent is not None and s.verdict.reason}
+    )
     cards = [
         *(_Card("unconnected", names, {}, _explain_unconnected(reasons[names], why, advice))
           for names, why in unconnected.items()),
         *(_Card(
-            s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
-            reasons.get(s.name) or advice.get(s.verdict.grade, ""), KINDS[s.kind].title)
+            grades[s.name], s.name, _describe_evidence(calibration, s, words),
+            reasons.get(s.name) or advice.get(s.verdict.grade, "") * (s.parent is not None), KINDS[s.kind].title)
           for s in sensors),
     ]  # fmt: skip
     notes = [f"{mark} {text[:1].upper()}{text[1:]}" for mark, text in shared.items()]
-    return render("cards.html", calibration=calibration, cards=cards, shared=notes)
+    # The root first: its forward axis points upwards in the pictures.
+    drawn = [DrawnSensor(s.name, s.kind, s.T_root_sensor) for s in calibration.sensors]
+    suggestions = [
+        (str(one), Markup(draw_pose(drawn, one.T_root_board, rig.board_size, one.sensor)))
+        for one in calibration.evidence.suggestions
+    ]
+    return render("cards.html", calibration=calibration, cards=cards, shared=notes, suggestions=suggestions)
 
 
 def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> dict[str, str]:
@@ -102,6 +110,8 @@ def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Voca
     evidence = calibration.evidence
     sigma_t, sigma_r = sensor.worst_stddev
     facts = {"σ of the pose": f"{format_length(sigma_t)}, {format_angle(sigma_r)}"}
+    if sensor.parent is None:
+        facts = {"pose": "is the reference"}
     fit, held_out = evidence.fit.get(sensor.name), evidence.cross_validation.get(sensor.name)
     name = words.fit.get(sensor.kind, "residual")
     if fit:

@@ -44,12 +44,12 @@ BOARD_VOCABULARY = Vocabulary(
     item="capture",
     items_title="Captures",
     no_items="There are no captures: the board was not detected at rest in this recording.",
-    items_caption=("Hover over a cell for its time and the reason of a rejection.", "no measurement"),
+    items_caption=("Hover over a cell for its time and the reason of a rejection.", "not in view"),
     shared_evidence="capture",
     no_pairs="No two sensors detected the board in the same capture.",
     pair_columns=("shared<br>captures", "inliers", "RMS<br>residual"),
     graph_caption="""\
-An edge joins two sensors that detected the board in the same captures. Labels: inliers / shared captures, and
+An edge joins two sensors that detected the board in the same captures. Labels: inliers of shared captures, and
 RMS residual under the final poses. Bold: spanning tree used for initialization; dashed: no relative pose was
 estimated.""",
     fit={name: kind.residual for name, kind in KINDS.items()},
@@ -93,10 +93,10 @@ NETWORK_VOCABULARY = Vocabulary(
     no_pairs="No two scanners tracked a person simultaneously.",
     pair_columns=("shared<br>positions", "inliers", "pose<br>difference"),
     graph_caption="""\
-An edge joins two scanners that tracked a person simultaneously. Labels: inliers / positions (10 Hz) visible to
-both, and the difference of the pair's pose from the final one. Poses of single pairs are from tracks alone and may
-be centimetres off: they are start values, which the joint solution replaces. Bold: spanning tree of the result;
-dashed: pairs that are inconsistent with the others.""",
+An edge joins two scanners that tracked a person simultaneously. Labels: inliers of the positions (10 Hz) that
+both should measure, and RMS difference of the pair's pose from the final one. Poses of single pairs are from
+tracks alone and may be centimetres off: they are start values, which the joint solution replaces. Bold: spanning
+tree of the result; dashed: pairs that are inconsistent with the others.""",
     fit={"lidar2d": "range residual"},
     errors_caption="""\
 Measured minus predicted range of the beams on people, in the joint solution, which models bodies or legs and
@@ -163,7 +163,7 @@ DRIVE_VOCABULARY = Vocabulary(
     pair_columns=("motions", "agreeing", "difference"),
     graph_caption="""\
 An edge joins the root with a sensor whose motion was compared with its own. Labels: relative motions of 1.5 s that
-agree / all of them. Dashed: no relative pose was estimated.""",
+agree, of all of them. Dashed: no relative pose was estimated.""",
     fit=dict.fromkeys(("lidar2d", "lidar3d"), "distance from the surface"),
     errors_caption="""\
 Distances of points from the flat patches of their surfaces, positive beyond them. They should scatter about zero

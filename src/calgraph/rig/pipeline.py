@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -63,7 +64,7 @@ def calibrate_rig(
         InputError: the rig does not fit the recording.
         CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
     """
-    return _save_and_solve(build_problem(rig, recording, options, progress), options)
+    return _save_and_solve(build_problem(rig, recording, options, progress), options, progress)
 
 
 def calibrate_detections(
@@ -89,13 +90,13 @@ def calibrate_detections(
     """
     check_board(rig)
     captures, rng = captures_from_detections(rig, detections, cameras), np.random.default_rng(options.seed)
-    return _save_and_solve(build_problem_from_captures(rig, captures, options, rng, progress), options)
+    return _save_and_solve(build_problem_from_captures(rig, captures, options, rng, progress), options, progress)
 
 
-def _save_and_solve(problem: Problem, options: RigOptions) -> Calibration:
+def _save_and_solve(problem: Problem, options: RigOptions, progress: Progress) -> Calibration:
     if options.dump:
         save_problem(problem, options.dump)
-    return solve_problem(problem, options.engine.jobs)
+    return solve_problem(problem, options.engine.jobs, progress)
 
 
 def build_problem(
@@ -166,17 +167,20 @@ def build_problem_from_captures(
 
 
 @explain_singular_equations()
-def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
+def solve_problem(problem: Problem, jobs: int = 1, progress: Progress = no_progress) -> Calibration:
     """Solves the joint problem: the calibration of all sensors, bit-identical for one problem.
 
     Args:
         problem: to solve.
         jobs: maximum number of processes; see :class:`calgraph.parallel.engine.Processes`.
+        progress: called with the step and the fraction done.
 
     Raises:
         CalibrationError: its equations are singular.
     """
+    progress("solving", 0.0)
     problem, joint, tree = solve_after_bumps(problem)
+    progress("solving", 1.0)
     if joint.solved_bundle is None:
         return assemble_rig(problem, tree, joint)
     rig, folds, solved = problem.rig, problem.solver.folds, joint.solved_bundle
@@ -189,18 +193,21 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
         exceeds_tolerance(T, joint.covariance[name], rig.tolerance, settings.verdict)
         for name, T in joint.T_root_sensor.items()
     )
+    checked = partial(progress, "checking")
+    checked(0.0)
     with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs) if uncertain else 1) as suggestions:
-        held_out = cross_validate(solved, folds, max(jobs - uncertain, 1)) if folds else {}
+        held_out = cross_validate(solved, folds, max(jobs - uncertain, 1), checked) if folds else {}
         drifts, without = measure_drifts(solved), joint
         joint = include_drifts(joint, solved, drifts, settings)
         suggested = suggestions() if uncertain else ()
         remedies = find_remedies(rig, joint, solved, drifts, suggested)
         calibration = assemble_rig(problem, tree, joint, held_out, drifts, remedies)
         good = all(sensor.verdict.grade == "good" for sensor in calibration.sensors)
-        if good:
-            return calibration
-        suggested = add_drifts(suggested or suggestions(), kinds, without, joint, drifts.serial_correlation)
-        return add_suggestions(calibration, suggested)
+        if not good:
+            suggested = add_drifts(suggested or suggestions(), kinds, without, joint, drifts.serial_correlation)
+            calibration = add_suggestions(calibration, suggested)
+        checked(1.0)
+        return calibration
 
 
 def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningTree]:

@@ -7,7 +7,7 @@ errors do not reduce the errors of the prediction.
 Source: Stone, "Cross-validatory choice and assessment of statistical predictions", 1974.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -69,7 +69,9 @@ class _PredictionErrors:
     """(V,) number of predicted directions."""
 
 
-def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str, HeldOutError]:
+def cross_validate(
+    solved: SolvedBundle, folds: int, jobs: int = 1, progress: Callable[[float], None] = lambda _done: None
+) -> dict[str, HeldOutError]:
     """Holds out every capture once, in one of several solutions.
 
     Noise and view bias are those of the solution of all captures, from which the others start.
@@ -79,6 +81,7 @@ def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str,
         folds: number of groups of captures; each group is held out as a whole.
         jobs: maximum number of processes; they do not change the
             result.
+        progress: called with the fraction done, below 1: other checks follow.
 
     Returns:
         The errors of the predictions by sensor; none for one that no other sensor predicts.
@@ -93,12 +96,12 @@ def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str,
         name: "px" if isinstance(views, CornerObservations) else "m"
         for name, views in zip(bundle.sensors, bundle.views, strict=True)
     }
-    _, number = np.unique(solved.captures, return_inverse=True)
-    fold_of = number % folds
+    fold_of = np.unique(solved.captures, return_inverse=True)[1] % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     given = Kept.of(solved)
     work = [(given, fold_of == fold) for fold in np.unique(fold_of)]
-    for found in Processes(forked_jobs(jobs)).map(_hold_out, work):
+    for number, found in enumerate(Processes(forked_jobs(jobs)).map(_hold_out, work)):
+        progress((number + 1) / (len(work) + 1))
         for name, error in found.items():
             errors[name].append(error)
     summaries = {name: _summarize(found, units[name], solved.captures) for name, found in errors.items()}

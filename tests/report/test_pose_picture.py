@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.live.pose_picture import draw_pose, measure_turn
-from calgraph.live.sensor_solution import SensorSolution
+from calgraph.report.pose_picture import DrawnSensor, draw_pose, measure_turn
 
 UP = np.array([0.0, 0, 1])
 # A board in front of the robot, which looks along x: upright, and facing the robot.
 FACING = se3.pose(np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]), np.array([2.0, 0, 0.3]))
-LEAST = float(np.radians(5))
 
 
 def held(axis: list[float], degrees: float) -> Array:
@@ -25,10 +23,10 @@ def held(axis: list[float], degrees: float) -> Array:
 
 def draw(T_root_board: Array, name: str = "laser") -> str:
     sensors = [
-        SensorSolution("lidar", "lidar3d", np.eye(4)),
-        SensorSolution(name, "lidar2d", se3.pose(np.eye(3), np.array([0.3, 0.0, -0.2]))),
+        DrawnSensor("lidar", "lidar3d", np.eye(4)),
+        DrawnSensor(name, "lidar2d", se3.pose(np.eye(3), np.array([0.3, 0.0, -0.2]))),
     ]
-    return draw_pose(sensors, T_root_board, (1.2, 0.9), UP, name, LEAST)
+    return draw_pose(sensors, T_root_board, (1.2, 0.9), name)
 
 
 def texts(svg: str) -> list[str]:
@@ -48,7 +46,7 @@ def texts(svg: str) -> list[str]:
 )
 def test_words_say_how_hands_and_upper_edge_move(axis: list[float], degrees: float, turn: str, tilt: str) -> None:
     T = held(axis, degrees)
-    assert measure_turn(T, np.zeros(3), UP).words(LEAST) == (turn, tilt)
+    assert measure_turn(T, np.zeros(3), UP).words() == (turn, tilt)
     assert {turn, tilt} <= set(texts(draw(T)))
 
 
@@ -72,7 +70,7 @@ def test_height_is_relative_to_the_sensor_that_views_the_board() -> None:
 def test_a_view_has_the_board_over_its_upright_outline() -> None:
     """Of a board of 1.2 by 0.9 m that faces the sensor: 116 by 87 pixels, and twice the same."""
     centred = se3.pose(FACING[:3, :3], np.array([2.0, 0, 0]))
-    svg = draw_pose([SensorSolution("lidar", "lidar3d", np.eye(4))], centred, (1.2, 0.9), UP, "lidar", LEAST)
+    svg = draw_pose([DrawnSensor("lidar", "lidar3d", np.eye(4))], centred, (1.2, 0.9), "lidar")
     paths = [one.attrib for one in ElementTree.fromstring(svg).iter() if one.tag.endswith("path")]
     closed = [one["d"] for one in paths if one["d"].endswith("Z") and "stroke-width" in one][-2:]
     placed, dashed = (np.array(re.findall(r"-?[0-9.]+", path), dtype=float).reshape(4, 2) for path in closed)

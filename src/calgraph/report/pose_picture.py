@@ -1,17 +1,16 @@
-"""The next best board pose as a picture for a phone: where to stand, how to turn and how to tilt the board.
+"""The next best board pose as a picture: where to stand, how to turn and how to tilt the board.
 
 Above, robot, board and operator from above, with the robot's front upwards; below, the board from the operator's
 right side, and as a sensor of the robot views it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.live.sensor_solution import SensorSolution
 from calgraph.sensors.kinds import KINDS
 
 _WIDTH, _PLAN_HEIGHT, _PANEL_HEIGHT = 360, 330, 170
@@ -20,6 +19,28 @@ _MARGIN = 40.0
 _BOARD, _PERSON, _TEXT, _FAINT = "#ffe14d", "#c9b8ff", "#f4f6f8", "#8b97a5"
 _PERSON_DISTANCE = 0.55
 """Of the operator behind the board, m."""
+
+
+# Smallest angle by which a picture asks for a board that is tilted or turned, rad (5°): a person holds it no more
+# precisely.
+_MIN_ANGLE = float(np.radians(5))
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSensor:
+    """A sensor with a pose."""
+
+    name: str
+    kind: str
+    T_root_sensor: Array
+    """(4, 4)."""
+    field_of_view: tuple[float, float] | None = None
+    """Of a camera with intrinsics: horizontal and vertical, rad."""
+
+    @property
+    def origin(self) -> Array:
+        """(3,) in the frame of the root, m."""
+        return self.T_root_sensor[:3, 3]
 
 
 @dataclass(frozen=True)
@@ -31,11 +52,11 @@ class BoardTurn:
     tilt: float
     """Of its face above the horizontal, rad; positive where the upper edge is nearer to the operator."""
 
-    def words(self, least: float) -> tuple[str, str]:
-        """What to do with the hands, and with the upper edge; angles below the least (rad) are left out."""
+    def words(self) -> tuple[str, str]:
+        """What to do with the hands, and with the upper edge; small angles are left out."""
         hand, edge = "right" if self.turn > 0 else "left", "you" if self.tilt > 0 else "robot"
-        turn = f"{hand} hand forward {_degrees(self.turn)}" if abs(self.turn) >= least else "face the robot"
-        tilt = f"top towards {edge} {_degrees(self.tilt)}" if abs(self.tilt) >= least else "hold it upright"
+        turn = f"{hand} hand forward {_degrees(self.turn)}" if abs(self.turn) >= _MIN_ANGLE else "face the robot"
+        tilt = f"top towards {edge} {_degrees(self.tilt)}" if abs(self.tilt) >= _MIN_ANGLE else "hold it upright"
         return turn, tilt
 
 
@@ -54,27 +75,19 @@ def measure_turn(T_root_board: Array, center: Array, up: Array) -> BoardTurn:
     return BoardTurn(float(turn), float(np.arcsin(np.clip(normal @ up, -1, 1))))
 
 
-def draw_pose(
-    sensors: Sequence[SensorSolution],
-    T_root_board: Array,
-    size: tuple[float, float],
-    up: Array,
-    viewer: str,
-    least_angle: float,
-) -> str:
+def draw_pose(sensors: Sequence[DrawnSensor], T_root_board: Array, size: tuple[float, float], viewer: str) -> str:
     """An SVG image of a board pose, below 20 kB.
 
     Args:
         sensors: those with a pose, the root first: its forward axis points upwards in the plan.
         T_root_board: (4, 4).
         size: width and height of the board, m.
-        up: (3,) unit vector in the root's frame.
         viewer: the sensor whose view of the board is shown.
-        least_angle: smaller turns and tilts are not mentioned, rad.
     """
+    up = estimate_up({one.name: one.kind for one in sensors}, {one.name: one.T_root_sensor for one in sensors})
     center = np.mean([sensor.origin for sensor in sensors], axis=0)
     turn = measure_turn(T_root_board, center, up)
-    words = turn.words(least_angle)
+    words = turn.words()
     shown = next(sensor for sensor in sensors if sensor.name == viewer)
     height = _PLAN_HEIGHT + _PANEL_HEIGHT
     return "".join(
@@ -91,8 +104,20 @@ def draw_pose(
     )
 
 
+def estimate_up(kinds: Mapping[str, str], T_root_sensor: Mapping[str, Array]) -> Array:
+    """The direction (3,) in the root's frame that is up for most sensors, as they are usually mounted.
+
+    Scanners turn about the vertical, and cameras are upright. Of all sensors' directions it is the one nearest to
+    the others, so that single sensors on their sides or upside down do not matter.
+    """
+    directions = np.array(
+        [-T[:3, 1] if KINDS[kinds[name]].optical else T[:3, 2] for name, T in T_root_sensor.items()]
+    )
+    return np.asarray(directions[np.argmax(np.sum(np.clip(directions @ directions.T, 0, 1), axis=1))])
+
+
 def _draw_plan(
-    sensors: Sequence[SensorSolution],
+    sensors: Sequence[DrawnSensor],
     T_root_board: Array,
     size: tuple[float, float],
     up: Array,
@@ -154,7 +179,7 @@ def _draw_robot(positions: Sequence[Array], scale: float) -> list[str]:
     ]
 
 
-def _draw_names(sensors: Sequence[SensorSolution], positions: Sequence[Array]) -> list[str]:
+def _draw_names(sensors: Sequence[DrawnSensor], positions: Sequence[Array]) -> list[str]:
     """Dots of the sensors, and their names to the left and right in the order of their heights in the picture."""
     drawn, order = [], sorted(range(len(sensors)), key=lambda k: float(positions[k][1]))
     middle = float(np.mean([p[0] for p in positions]))
@@ -188,7 +213,7 @@ def _draw_person_above(at: Array, towards: Array, scale: float) -> list[str]:
     ]
 
 
-def _draw_side(T_root_board: Array, up: Array, sensor: SensorSolution, tilt: float, word: str) -> list[str]:
+def _draw_side(T_root_board: Array, up: Array, sensor: DrawnSensor, tilt: float, word: str) -> list[str]:
     """The board's tilt and height from the side: robot to the left, operator to the right."""
     x, y, half = 88.0, _PLAN_HEIGHT + 98.0, 34.0
     edge = half * np.array([np.sin(tilt), -np.cos(tilt)])
@@ -214,7 +239,7 @@ def _draw_side(T_root_board: Array, up: Array, sensor: SensorSolution, tilt: flo
     ]
 
 
-def _draw_view(sensor: SensorSolution, T_root_board: Array, size: tuple[float, float], up: Array) -> list[str]:
+def _draw_view(sensor: DrawnSensor, T_root_board: Array, size: tuple[float, float], up: Array) -> list[str]:
     """The board as the sensor views it, over its outline when upright and facing the sensor."""
     eye, board = sensor.origin, T_root_board[:3, 3]
     sight = (board - eye) / np.linalg.norm(board - eye)
@@ -243,9 +268,8 @@ def _project(points: Array, axes: Array) -> Array:
     return np.asarray(viewed[:, :2] / viewed[:, 2:])
 
 
-def _viewing_axis(sensor: SensorSolution) -> Array:
+def _viewing_axis(sensor: DrawnSensor) -> Array:
     """(3,) the forward axis of a sensor."""
-    assert sensor.T_root_sensor is not None
     return np.asarray(sensor.T_root_sensor[:3, 2 if KINDS[sensor.kind].optical else 0])
 
 
