@@ -1,0 +1,126 @@
+"""Lists the messages of calgraph, read from its source, by package: `python docs/message_list.py`.
+
+The site has them on the page on messages, with the causes and remedies of troubleshooting.md (site_extension.py).
+"""
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "calgraph"
+CAUSES = Path(__file__).with_name("troubleshooting.md")
+GIVES_MESSAGES = {
+    "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "invalid",
+    "Finding", "InconsistentTags",
+}  # fmt: skip
+"""Calls whose arguments are messages."""
+WRITES_MESSAGES = re.compile(r"_?(?:describe|explain)")
+"""Begins the names of functions that return messages."""
+FEWEST_LETTERS = 8
+"""Texts with fewer are parts of messages."""
+HEADINGS = {
+    "cli": "Commands and options",
+    "calibrate": "What is calibrated",
+    "config": "rig.yaml",
+    "io": "Files",
+    "recording": "Recordings",
+    "sensors": "Messages and intrinsics of sensors",
+    "boards": "Boards in images",
+    "rig": "A rig with a board",
+    "network": "Networks",
+    "drive": "A robot that drives",
+    "graph": "Relative poses and their graph",
+    "verdict": "Tests of all results",
+    "result": "Results, and poses from other files",
+    "report": "Reports",
+    "printing": "Printed boards",
+    "parallel": "Processes and clusters",
+    "fleet": "Fleets",
+    "live": "Live capture",
+}
+"""Packages of the source that have messages, in the order of the list."""
+NOT_MET = {"simulation", "viewer"}
+"""Packages whose messages are about options alone, which they repeat."""
+
+
+def read_texts(node: ast.expr) -> list[str]:
+    """The alternatives of what an expression states, with … in place of values; none of what is no text."""
+    match node:
+        case ast.Constant(value=str(words)):
+            return [re.sub(r"%[\d.]*[sdfg]", "…", words)]
+        case ast.JoinedStr(values=parts):
+            return ["".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in parts)]
+        case ast.BinOp(left=left, op=ast.Add(), right=right):
+            return [a + b for a in read_texts(left) or ["…"] for b in read_texts(right) or ["…"]]
+        case ast.IfExp(body=one, orelse=other):
+            return read_texts(one) + read_texts(other)
+    return []
+
+
+def read_messages(module: Path) -> list[str]:
+    """What the calls of a module that raise, reject or warn state, and its functions that describe or explain."""
+    found: list[str] = []
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in GIVES_MESSAGES:
+                # The first argument of invalid is a key of rig.yaml.
+                found += [words for given in node.args[called == "invalid" :] for words in read_texts(given)]
+        elif isinstance(node, ast.FunctionDef) and WRITES_MESSAGES.match(node.name):
+            returned = [part.value for part in ast.walk(node) if isinstance(part, ast.Return) and part.value]
+            found += [words for value in returned for words in read_texts(value)]
+    return [words for words in dict.fromkeys(found) if sum(map(str.isalpha, words)) >= FEWEST_LETTERS]
+
+
+def list_modules() -> list[Path]:
+    """The modules whose messages users can get."""
+    return [path for path in sorted(SOURCE.rglob("*.py")) if path.relative_to(SOURCE).parts[0] not in NOT_MET]
+
+
+def list_messages() -> dict[str, list[str]]:
+    """The messages by package."""
+    found: dict[str, list[str]] = {}
+    for module in list_modules():
+        found.setdefault(module.relative_to(SOURCE).parts[0], []).extend(read_messages(module))
+    return {package: list(dict.fromkeys(messages)) for package, messages in found.items() if messages}
+
+
+def match_message(quoted: str) -> str:
+    """The regular expression of a quoted message: with values or braces for …, and parameters for options."""
+    text = r"(?:…|\{\w*\})".join(re.escape(part) for part in quoted.split("…"))
+    return re.sub(r"\\-\\-([a-z]+)", r"(?:--\1|`\1`)", text)
+
+
+def read_causes() -> Iterator[tuple[str, str]]:
+    """Messages that troubleshooting.md quotes, or parts of them, with their causes and remedies."""
+    page = CAUSES.read_text(encoding="utf-8")
+    for quoted, cause in re.findall(r"^\| (`.*?) \| (.*) \|$", page, re.MULTILINE):
+        for message in re.findall(r"`([^`]+)`", quoted):
+            yield message, cause
+
+
+def message_list() -> str:
+    """A heading for each package, and a table of its messages with causes and remedies, as Markdown."""
+    causes = [(re.compile(match_message(message)), cause) for message, cause in read_causes()]
+    messages = list_messages()
+    return "\n\n".join(_section(HEADINGS[package], messages[package], causes) for package in HEADINGS)
+
+
+def _section(heading: str, messages: list[str], causes: list[tuple[re.Pattern[str], str]]) -> str:
+    rows = [
+        f"| {_quote(message)} | {next((cause for pattern, cause in causes if pattern.search(message)), '')} |"
+        for message in messages
+    ]
+    return "\n".join([f"## {heading}", "", "| message | cause, and what to do |", "| --- | --- |", *rows])
+
+
+def _quote(message: str) -> str:
+    words = " ".join(message.split()).replace("|", "\\|")
+    return f"`` {words} ``" if "`" in words else f"`{words}`"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(f"{message_list()}\n")
