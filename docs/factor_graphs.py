@@ -1,7 +1,7 @@
 """Draws the factor graphs and residuals of the pages on methods into docs/images: `python docs/factor_graphs.py`.
 
-Circles are unknowns. Squares are measurements and priors, joined to the unknowns that their residuals depend on. What
-is eliminated before the sensors are solved for is pale. Residuals are red.
+Circles are unknowns; those that are eliminated before the sensors are pale. Squares are measurements and priors,
+joined to the unknowns that their residuals depend on. Residuals are red.
 """
 
 from collections.abc import Iterable, Sequence
