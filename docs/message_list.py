@@ -7,6 +7,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -16,11 +17,15 @@ GIVES_MESSAGES = {
     "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "invalid",
     "Finding", "InconsistentTags",
 }  # fmt: skip
-"""Calls whose arguments are messages."""
-WRITES_MESSAGES = re.compile(r"_?(?:describe|explain)")
-"""Begins the names of functions that return messages."""
+"""Calls whose arguments are messages, with a few letters at least."""
 FEWEST_LETTERS = 8
-"""Texts with fewer are parts of messages."""
+PASSES_MESSAGES = {"append", "ValueError", "OSError", "SerdeError"}
+"""Calls whose arguments are messages if they are sentences, as are values that are returned or named."""
+FEWEST_WORDS = 4
+NO_SENTENCE = re.compile(r"\n|# |·|^ |^SELECT ")
+"""In templates, comments that are written, and queries."""
+ONLY_RAISED = {"cli", "report", "printing"}
+"""Packages whose other sentences are on the terminal or on a page, but are no messages."""
 HEADINGS = {
     "cli": "Commands and options",
     "calibrate": "What is calibrated",
@@ -35,7 +40,6 @@ HEADINGS = {
     "graph": "Relative poses and their graph",
     "verdict": "Tests of all results",
     "result": "Results, and poses from other files",
-    "report": "Reports",
     "printing": "Printed boards",
     "parallel": "Processes and clusters",
     "fleet": "Fleets",
@@ -50,7 +54,7 @@ def read_texts(node: ast.expr) -> list[str]:
     """The alternatives of what an expression states, with … in place of values; none of what is no text."""
     match node:
         case ast.Constant(value=str(words)):
-            return [re.sub(r"%[\d.]*[sdfg]", "…", words)]
+            return [re.sub(r"%[\d.]*[sdfgr]", "…", words)]
         case ast.JoinedStr(values=parts):
             return ["".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in parts)]
         case ast.BinOp(left=left, op=ast.Add(), right=right):
@@ -61,18 +65,41 @@ def read_texts(node: ast.expr) -> list[str]:
 
 
 def read_messages(module: Path) -> list[str]:
-    """What the calls of a module that raise, reject or warn state, and its functions that describe or explain."""
+    """What a module raises, rejects or warns of, and the sentences from which it makes messages."""
     found: list[str] = []
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call):
-            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if called in GIVES_MESSAGES:
-                # The first argument of invalid is a key of rig.yaml.
-                found += [words for given in node.args[called == "invalid" :] for words in read_texts(given)]
-        elif isinstance(node, ast.FunctionDef) and WRITES_MESSAGES.match(node.name):
-            returned = [part.value for part in ast.walk(node) if isinstance(part, ast.Return) and part.value]
-            found += [words for value in returned for words in read_texts(value)]
-    return [words for words in dict.fromkeys(found) if sum(map(str.isalpha, words)) >= FEWEST_LETTERS]
+        called = _name_call(node)
+        if called in GIVES_MESSAGES and isinstance(node, ast.Call):
+            # The first argument of invalid is a key of rig.yaml.
+            texts = [words for given in node.args[called == "invalid" :] for words in read_texts(given)]
+            found += [words for words in texts if sum(map(str.isalpha, words)) >= FEWEST_LETTERS]
+        elif not ONLY_RAISED & set(module.parts):
+            texts = [words for value in _list_values(node, called) for words in read_texts(value)]
+            found += [
+                words
+                for words in texts
+                if len(re.findall(r"[A-Za-z]{2,}", words)) >= FEWEST_WORDS and not NO_SENTENCE.search(words)
+            ]
+    return list(dict.fromkeys(found))
+
+
+def _name_call(node: ast.AST) -> str:
+    match node:
+        case ast.Call(func=ast.Attribute(attr=name) | ast.Name(id=name)):
+            return name
+    return ""
+
+
+def _list_values(node: ast.AST, called: str) -> list[ast.expr]:
+    """Values that a node returns, names or passes on, and the members of tuples."""
+    match node:
+        case ast.Return() | ast.Yield() | ast.Assign() | ast.AnnAssign() | ast.AugAssign() if node.value:
+            values = [node.value]
+        case ast.Call() if called in PASSES_MESSAGES:
+            values = node.args
+        case _:
+            return []
+    return [part for value in values for part in (value.elts if isinstance(value, ast.Tuple) else [value])]
 
 
 def list_modules() -> list[Path]:
@@ -80,6 +107,7 @@ def list_modules() -> list[Path]:
     return [path for path in sorted(SOURCE.rglob("*.py")) if path.relative_to(SOURCE).parts[0] not in NOT_MET]
 
 
+@cache
 def list_messages() -> dict[str, list[str]]:
     """The messages by package."""
     found: dict[str, list[str]] = {}
@@ -102,9 +130,12 @@ def read_causes() -> Iterator[tuple[str, str]]:
             yield message, cause
 
 
+@cache
 def message_list() -> str:
     """A heading for each package, and a table of its messages with causes and remedies, as Markdown."""
-    causes = [(re.compile(match_message(message)), cause) for message, cause in read_causes()]
+    # The longest one is the most specific; one word is a grade.
+    explained = sorted(read_causes(), key=lambda row: -len(row[0]))
+    causes = [(re.compile(match_message(message)), cause) for message, cause in explained if " " in message]
     messages = list_messages()
     return "\n\n".join(_section(HEADINGS[package], messages[package], causes) for package in HEADINGS)
 
@@ -118,7 +149,7 @@ def _section(heading: str, messages: list[str], causes: list[tuple[re.Pattern[st
 
 
 def _quote(message: str) -> str:
-    words = " ".join(message.split()).replace("|", "\\|")
+    words = " ".join(message.split()).lstrip(";:, ").replace("|", "\\|")
     return f"`` {words} ``" if "`" in words else f"`{words}`"
 
 
