@@ -132,7 +132,7 @@ def read_causes() -> Iterator[tuple[str, str]]:
 
 @cache
 def message_list() -> str:
-    """A heading for each package, and a table of its messages with causes and remedies, as Markdown."""
+    """A heading for each package, and a list of its messages with causes and remedies, as Markdown."""
     # The longest one is the most specific; one word is a grade.
     explained = sorted(read_causes(), key=lambda row: -len(row[0]))
     causes = [(re.compile(match_message(message)), cause) for message, cause in explained if " " in message]
@@ -141,15 +141,16 @@ def message_list() -> str:
 
 
 def _section(heading: str, messages: list[str], causes: list[tuple[re.Pattern[str], str]]) -> str:
-    rows = [
-        f"| {_quote(message)} | {next((cause for pattern, cause in causes if pattern.search(message)), '')} |"
-        for message in messages
+    found = [next((cause for pattern, cause in causes if pattern.search(message)), "") for message in messages]
+    items = [
+        f"- {_quote(message)}{f' — {cause}' if cause else ''}"
+        for message, cause in zip(messages, found, strict=True)
     ]
-    return "\n".join([f"## {heading}", "", "| message | cause, and what to do |", "| --- | --- |", *rows])
+    return "\n".join([f"## {heading}", "", *items])
 
 
 def _quote(message: str) -> str:
-    words = " ".join(message.split()).lstrip(";:, ").replace("|", "\\|")
+    words = " ".join(message.split()).lstrip(";:, ")
     return f"`` {words} ``" if "`" in words else f"`{words}`"
 
 

@@ -196,7 +196,7 @@ def test_every_package_with_messages_has_a_heading() -> None:
 
 def test_a_listed_message_has_its_cause() -> None:
     (row,) = [line for line in message_list().splitlines() if "two poses …° apart" in line]
-    assert row.endswith("add captures with other tilts |")
+    assert row.endswith("— nearer, or larger tags")
 
 
 def test_alternatives_of_a_message_are_listed(tmp_path: Path) -> None:
