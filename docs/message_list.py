@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "src" / "calgraph"
+import calgraph
+
+SOURCE = Path(calgraph.__file__).parent
 CAUSES = Path(__file__).with_name("troubleshooting.md")
 GIVES_MESSAGES = {
     "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "invalid",

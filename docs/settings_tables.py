@@ -1,7 +1,7 @@
-"""Writes the tables of the page on settings, from the settings classes: `python docs/settings_tables.py`."""
+"""The tables of the page on settings, from the settings classes: `python docs/settings_tables.py` prints them."""
 
+import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import annotated_types as limits
@@ -12,15 +12,6 @@ from calgraph.config.settings import Settings
 from calgraph.io.field_docs import describe_field
 
 _SIGNS = {limits.Gt: ">", limits.Ge: "≥", limits.Lt: "<", limits.Le: "≤"}
-
-
-PAGE = Path(__file__).parent / "settings.md"
-_MARK = "<!-- The rest is written by docs/settings_tables.py. -->"
-
-
-def settings_page(text: str) -> str:
-    """The text of the page with the tables of today."""
-    return f"{text.partition(_MARK)[0]}{_MARK}\n\n{settings_tables()}\n"
 
 
 def settings_tables(model: type[BaseModel] = Settings) -> str:
@@ -62,4 +53,4 @@ def _format(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(settings_page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    sys.stdout.write(f"{settings_tables()}\n")
