@@ -126,7 +126,7 @@ def match_message(quoted: str) -> str:
 def read_causes() -> Iterator[tuple[str, str]]:
     """Messages that troubleshooting.md quotes, or parts of them, with their causes and remedies."""
     page = CAUSES.read_text(encoding="utf-8")
-    for quoted, cause in re.findall(r"^\| (`.*?) \| (.*) \|$", page, re.MULTILINE):
+    for quoted, cause in re.findall(r"^- (`.*?) — (.*)$", page, re.MULTILINE):
         for message in re.findall(r"`([^`]+)`", quoted):
             yield message, cause
 
@@ -135,7 +135,7 @@ def read_causes() -> Iterator[tuple[str, str]]:
 def message_list() -> str:
     """A heading for each package, and a list of its messages with causes and remedies, as Markdown."""
     # The longest one is the most specific; one word is a grade.
-    explained = sorted(read_causes(), key=lambda row: -len(row[0]))
+    explained = sorted(read_causes(), key=lambda one: -len(one[0]))
     causes = [(re.compile(match_message(message)), cause) for message, cause in explained if " " in message]
     messages = list_messages()
     return "\n\n".join(_section(HEADINGS[package], messages[package], causes) for package in HEADINGS)
