@@ -8,7 +8,8 @@ import pytest
 
 from calgraph.geometry import se3
 from calgraph.result import Calibration, SensorPose, Verdict
-from drives import REAL_FRAMES, Outcome, Truth, judge, read_window
+from drives import REAL_FRAMES, read_window
+from judged_sensors import Outcome, Truth, judge
 
 
 def write_log(path: Path, count: int) -> None:
