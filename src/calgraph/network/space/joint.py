@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import SpaceObservations
@@ -26,12 +25,12 @@ from calgraph.network.space.persons import BodySamples, find_persons, gather_sam
 from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
+    compare_walls,
     find_shared_surfaces,
     reduce_surfaces,
     thin_points,
 )
 from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
-from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel
 from calgraph.verdict.state_changes import PERIOD, Change, find_changes
@@ -45,11 +44,9 @@ _FIXED_STEPS = 10
 # Start values of standard deviations: of samples over their first guesses, and of their views, m; least ones.
 _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
-# Axes of a pose that people and surfaces both determine, by how much these may differ, m and rad, and the
-# probability with which a difference is found where there is none.
-_PLANAR = np.array([0, 1, 5])
-_SPLIT_STDDEV = np.array([1.0, 1.0, 0.2])
-_FALSE_ALARM = 0.001
+# Probability with which one change of a clock is found where there is none: some fifty are tested, and errors of
+# views last for longer than a period.
+_FALSE_ALARM = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +63,6 @@ class PeopleEquations:
     """(V,) of these by the root's clock, s."""
     source: Index
     """(V,) number of person and sensor."""
-
-
-@dataclass(frozen=True)
-class Contradiction:
-    """How far people and surfaces are apart on the place and heading of a sensor."""
-
-    significance: float
-    """Squared distance in standard deviations, over the limit of what chance explains."""
-    shift: float
-    """m."""
-    turn: float
-    """rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +86,11 @@ class SpaceSolution:
     body: Array
     """(6,) means of the shapes of bodies."""
     agreement: Array
-    """(S, S) of the maps of two sensors; see :func:`measure_agreement`."""
-    contradiction: Sequence[Contradiction]
-    """By sensor: where people and surfaces would move its pose."""
+    """(S, S),"""
+    balance: Array
+    """(S, S) both of :func:`compare_walls`."""
     changes: Sequence[Change]
-    """Of poses and clocks, by number of the sensor."""
+    """Of clocks, by number of the sensor; people show changes of poses from 0.2 m on only."""
     begin: float
     """Of what people show, by the root's clock, s."""
     squared_step: float
@@ -161,20 +146,20 @@ def solve_space(
     ]
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
-    world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
+    agreement, balance = compare_walls([one.static.points for one in observations], states)
     changes: list[Change] = []
     begin = 0.0
     if persons:
         left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
         equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
         places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
-        changes = find_changes(equations, free, ends, places - places[0])
+        changes = find_changes(equations, free, ends, places - places[0], ("clock",), _FALSE_ALARM)
         begin = float(ends[0] - PERIOD)
     return SpaceSolution(
         states, free, covariance, _condition_on_ranges(covariance, free),
         persons, people, shared, noise, body_noise, body,
-        agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
-        contradiction=_compare_people(people, H, free),
+        agreement=agreement,
+        balance=balance,
         changes=changes,
         begin=begin,
         squared_step=float(step[:count] @ np.linalg.solve(covariance, step[:count])),
@@ -213,39 +198,6 @@ def _label_rings(shared: SharedSurfaces) -> Index:
     row = find_rows(shared.points)
     label = np.unique(shared.sensor * (int(row.max(initial=0)) + 1) + row, return_inverse=True)[1]
     return np.asarray(label.ravel(), dtype=np.intp)
-
-
-def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
-    """Rao's score test of another place and heading of each sensor for people than for surfaces.
-
-    Args:
-        people: their equations at the solution.
-        H: (P + 6, P + 6) information of people and surfaces.
-        free: (S, 12).
-    """
-    found = []
-    number = np.cumsum(free.ravel()).reshape(free.shape) - 1
-    for k in range(len(free)):
-        if not free[k, 0]:
-            found.append(Contradiction(0.0, 0.0, 0.0))
-            continue
-        rows = number[k, _PLANAR]
-        response = np.linalg.solve(H, people.information[:, rows])
-        information = people.information[np.ix_(rows, rows)] - people.information[rows] @ response
-        information += np.diag(_SPLIT_STDDEV**-2.0)
-        size = -np.linalg.solve(information, people.gradient[rows])
-        # What independent groups of people contribute scatters more than independent errors.
-        sums = sum_clusters(people.scores[:, rows] - people.scores @ response, people.source)
-        inverse = np.linalg.inv(information)
-        covariance = widen_by_clusters(inverse, [sums])
-        statistic = float(size @ np.linalg.solve(covariance, size))
-        found.append(
-            Contradiction(
-                statistic / float(chdtri(len(_PLANAR), _FALSE_ALARM)),
-                float(np.hypot(*size[:2])), abs(float(size[2])),
-            )
-        )  # fmt: skip
-    return found
 
 
 def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
