@@ -154,7 +154,7 @@ def list_worlds(arguments: argparse.Namespace, wrong: Sequence[str], *more: obje
 
 
 def measure(first: Judged, calibrate: Callable[[], Calibration]) -> tuple[Judged, Calibration | None]:
-    """A row with time and memory of a calibration, and the result; without one, the row says why."""
+    """A row with time and memory of a calibration, and the result; without one, its row has the reason."""
     reset_peak()
     began = time.process_time()
     try:
