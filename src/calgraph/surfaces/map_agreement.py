@@ -60,4 +60,4 @@ def _compare(surfaces: FlatCells, points: Array) -> Array:
     count = np.bincount(index, minlength=len(surfaces.keys))
     share = np.bincount(index, near, len(surfaces.keys)) / np.maximum(count, 1)
     on = np.array([share > 0.5, share <= 0.5]) & (count >= _MIN_POINTS)
-    return np.einsum("kc,ci,cj->kij", on.astype(np.float64), surfaces.normals, surfaces.normals)
+    return np.asarray(np.einsum("kc,ci,cj->kij", on.astype(np.float64), surfaces.normals, surfaces.normals))
