@@ -23,8 +23,8 @@ _QUANTUM = 0.001
 _FREEDOM, _ROUNDS = 4.0, 8
 # Probability with which a step is found where there is none, by errors that are independent.
 _FALSE_ALARM = 0.001
-# Steps that count, m and rad (0.03°): half of it is an error of the pose, which is known to some millimetres. Of 36
-# simulated sensors that rest, beside glass, stairs and crowds, each has steps of up to 0.7 mm and 0.007°.
+# Steps that count, m and rad (0.03°): half of it is an error of the pose, which is known to some millimetres.
+# Simulated sensors that rest, 36 of them, beside glass, stairs and crowds, have steps of up to 0.7 mm and 0.007°.
 _MIN_SHIFT, _MIN_TURN = 0.002, float(np.radians(0.03))
 
 
