@@ -151,7 +151,7 @@ def solve_space(
     begin = 0.0
     if persons:
         left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
-        equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
+        equations, ends = release_periods(persons, states, body_noise, body, (information, left), free, surfaces)
         places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
         changes = find_changes(equations, free, ends, places - places[0], ("clock",), _FALSE_ALARM)
         begin = float(ends[0] - PERIOD)
