@@ -39,7 +39,7 @@ _RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
 # Walls on which two maps agree, less the others, and that over both, below which nothing but people shows that a
-# pose is right. In simulated halls with 16 and 32 rings right pairs have 20 to 83, and 0.87 to 1.0; wrong ones have
+# pose is right. In simulated halls with 16 and 32 rings right pairs have 20 to 83, and 0.87 to 1.0; wrong ones are
 # at most 0.54 if they are 0.2 to 3 m or 1 to 20 degrees off, and 0.4 after half a turn, which maps walls of a hall
 # onto each other. Numbers do not distinguish these: they are up to 31.
 _MIN_AGREEMENT, _MIN_BALANCE = 4.0, 0.6
