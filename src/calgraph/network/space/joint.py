@@ -45,8 +45,8 @@ _FIXED_STEPS = 10
 _START_BODY = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
 _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
 # Probability with which one change of a clock is found where there is none: some fifty are tested, and errors of
-# views last for longer than a period. In 12 right halls statistics are up to 9, with jumps of 43 and 74 ms they are
-# 38 and 45; the limit is 26.
+# views last for longer than a period. Statistics are up to 9 in 12 right halls, 38 and 45 with jumps of 43 and 74
+# ms; the limit is 26.
 _FALSE_ALARM = 0.01
 
 
