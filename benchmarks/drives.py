@@ -5,11 +5,9 @@ python benchmarks/drives.py --rigs four_lidars --duration 30                    
 python benchmarks/drives.py --kinds wrong --seeds 0 10 --verbose                      # a line for each sensor
 python benchmarks/drives.py --real --tolerance 0.02 0.5 --csv real.csv                # the recording fr079
 
-Kinds are those of drive_kinds.py, simulated in memory. A row is one sensor besides the root. A sensor is
-*confidently wrong* if its verdict is good and its pose is outside of the 99.9 % ellipsoid of its covariance by
-more than 5 mm or 0.1 degrees, or more than 50 mm or 1 degree off; ``out`` counts those outside with any verdict.
-The pose is compared with the one at the end of the drive, where a sensor was bumped. NEES is per degree of
-freedom, of the axes that were measured: of the pose, of its translation, and of its rotation.
+Kinds are those of drive_kinds.py, simulated in memory. A row is one sensor besides the root; judged_sensors.py
+states what its columns are, and what is *confidently wrong*. The pose is compared with the one at the end of the
+drive, where a sensor was bumped.
 
 The real recording is fr079 of Radish, a scanner of 180 degrees on a robot in an office. Its beams right and left
 of straight ahead are taken as two scanners that share no view, the second in another frame and by another clock,
@@ -22,50 +20,27 @@ and with ones that are moved by 5, 20 and 50 mm and a hundredth of that number i
 
 import bz2
 import os
-import resource
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.linalg import LinAlgError
-from scipy.stats import chi2
 
 from calgraph.config import Rig, Tolerance
-from calgraph.config.settings import VerdictSettings
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
-from calgraph.errors import CalgraphError
-from calgraph.geometry import Array, Index, se2, se3
+from calgraph.geometry import Array, se2
 from calgraph.recording import MessageRecording
-from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import STANDARD_RIGS, simulate_drive
 from calgraph.simulation.drive_scenario import RANGING
-from calgraph.verdict.comparison import SignificanceTest
 from drive_kinds import KINDS, build_drive_scenario
-from worlds import NAN, Layout, finite, grouped, make_parser, mean, median, run_worlds, share, worst
+from judged_sensors import Outcome, Truth, judge, list_worlds, make_judging_parser, measure, show_outcomes
+from worlds import mean, run_worlds, share
 
-TABLE = Layout(
-    "kind:20 rig:14 drives:6d start:5d good:4d weak:4d unob:4d none:4d mm:7.1f max:7.0f deg:6.3f max:6.2f "
-    "clock:6.2f max_ms:6.1f NEES:6.2f trans:6.2f rot:6.2f out:4d conf:4d CPU_s:6.1f GB:5.2f"
-)
-MAX_METRES, MAX_DEGREES = 0.005, 0.1
-"""By which a good pose may be outside of its ellipsoid."""
-FAR_METRES, FAR_DEGREES = 0.05, 1.0
-"""By which a good pose may be off in any case."""
-ELLIPSOID = 0.999
-"""Probability of the ellipsoid."""
-MOVES = (0.0, 0.005, 0.02, 0.05)
-"""Sizes of moves that audits should find, m; 0 is none."""
-DEGREES_PER_METRE = 10.0
-"""By which sensors turn as well."""
-DIRECTIONS = 32
-"""Of each move."""
 WINDOWS, WINDOW, FIRST_WINDOW = 15, 60.0, 30.0
 """Of the real recording: number, length, and start of the first, s."""
 REAL_FRAMES: Mapping[str, tuple[float, float, float, float]] = {
@@ -85,70 +60,6 @@ REAL_MAX_RANGE = 40.0
 """Larger ranges are no returns, m."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Of one sensor of one drive, the root left out."""
-
-    kind: str
-    rig: str
-    seed: int
-    duration: float
-    """s."""
-    sensor: str
-    """Empty where the calibration failed, which counts as one sensor without a pose."""
-    grade: str = "none"
-    """Good, weak, unobservable; none where the sensor has no pose."""
-    millimetres: float = NAN
-    degrees: float = NAN
-    clock_milliseconds: float = NAN
-    """Error of the clock offset."""
-    nees: float = NAN
-    nees_translation: float = NAN
-    nees_rotation: float = NAN
-    stddev_millimetres: float = NAN
-    """Largest standard deviation along an axis,"""
-    stddev_degrees: float = NAN
-    """and about one."""
-    outside_millimetres: float = NAN
-    """How far outside of the ellipsoid; 0 inside of it."""
-    outside_degrees: float = NAN
-    crashed: bool = False
-    seconds: float = NAN
-    """Processor time of the calibration."""
-    simulated_seconds: float = NAN
-    """And of the simulation."""
-    gigabytes: float = NAN
-    """Largest memory of the process during the calibration, with the messages."""
-    false_alarm: float = NAN
-    """Whether an audit finds that the sensor moved, which did not; of good poses,"""
-    found_5: float = NAN
-    found_20: float = NAN
-    found_50: float = NAN
-    """and the shares of moves by 5, 20 and 50 mm that it finds."""
-    text: str = ""
-    """Reason of the verdict or of its absence, and remarks."""
-
-    @property
-    def outside(self) -> bool:
-        """Whether the pose is outside of its ellipsoid."""
-        return self.outside_millimetres > 1000 * MAX_METRES or self.outside_degrees > MAX_DEGREES
-
-    @property
-    def confidently_wrong(self) -> bool:
-        """Whether the verdict is good and the pose is outside of its ellipsoid, or far off."""
-        far = self.millimetres > 1000 * FAR_METRES or self.degrees > FAR_DEGREES
-        return self.grade == "good" and (self.outside or far)
-
-
-class Truth(NamedTuple):
-    """What a result is compared with."""
-
-    T_root_sensor: Mapping[str, Array]
-    """(4, 4)."""
-    clock_offsets: Mapping[str, float]
-    """s."""
-
-
 class Setup(NamedTuple):
     """What all runs share."""
 
@@ -160,37 +71,19 @@ class Setup(NamedTuple):
 
 def main() -> None:
     """Prints a table by kind and rig, what is confidently wrong, and all reasons."""
-    parser = make_parser(__doc__, jobs=2)
-    parser.add_argument("--kinds", nargs="+", choices=[*KINDS, "wrong"], default=list(KINDS))
-    parser.add_argument("--rigs", nargs="+", choices=list(STANDARD_RIGS), default=["two_lidars"])
-    parser.add_argument("--seeds", nargs=2, type=int, default=[0, 8], help="first, and one past the last")
-    parser.add_argument("--duration", type=float, default=60.0, help="s")
-    parser.add_argument("--tolerance", nargs=2, type=float, default=[0.01, 0.3], help="m, degrees")
+    parser = make_judging_parser(__doc__, list(KINDS), list(KINDS), list(STANDARD_RIGS), (0.01, 0.3))
     parser.add_argument("--real", action="store_true", help="windows of the real recording, by seed")
     parser.add_argument("--frames", nargs="+", choices=list(REAL_FRAMES), default=list(REAL_FRAMES))
     parser.add_argument("--data", default=os.environ.get("CALGRAPH_DATA", "data"), help="folder of recordings")
-    parser.add_argument("--verbose", action="store_true", help="a line for each sensor")
     arguments = parser.parse_args()
     setup = Setup(tuple(arguments.tolerance), arguments.data)
+    work = list_worlds(arguments, WRONG, setup)
     if arguments.real:
         windows = range(WINDOWS) if arguments.seeds == [0, 8] else range(*arguments.seeds)
-        work: list[tuple[Any, ...]] = [
-            ("real", frame, seed, WINDOW, setup) for frame in arguments.frames for seed in windows
-        ]
-    else:
-        work = [
-            (kind, rig, seed, arguments.duration, setup)
-            for kind in dict.fromkeys(
-                one for kind in arguments.kinds for one in (WRONG if kind == "wrong" else [kind])
-            )
-            for rig in arguments.rigs
-            for seed in range(*arguments.seeds)
-        ]
+        work = [("real", frame, seed, WINDOW, setup) for frame in arguments.frames for seed in windows]
     outcomes = run_worlds(Outcome, run, work, arguments, key=4)
-    print(f"{_processor()}, {os.cpu_count()} processors\n")
-    if arguments.verbose:
-        show_each(outcomes)
-    show(outcomes)
+    show_outcomes(outcomes, arguments.verbose)
+    show_audits(outcomes)
 
 
 def run(kind: str, rig: str, seed: int, duration: float, setup: Setup) -> list[Outcome]:
@@ -208,16 +101,10 @@ def run(kind: str, rig: str, seed: int, duration: float, setup: Setup) -> list[O
         }
     stated = describe_rig(kinds, setup.tolerance)
     first = Outcome(kind, rig, seed, duration, "", simulated_seconds=time.process_time() - began)
-    reset_peak()
-    began = time.process_time()
-    try:
-        found = calibrate_drive(stated, recording, DriveOptions(seed=seed))
-    except (CalgraphError, ArithmeticError, LinAlgError, LookupError, ValueError) as error:
-        text = f"{type(error).__name__}: {error}"
-        seconds = time.process_time() - began
-        return [replace(first, crashed=not isinstance(error, CalgraphError), seconds=seconds, text=text)]
-    first = replace(first, seconds=time.process_time() - began, gigabytes=read_peak())
-    return [judge(replace(first, sensor=name), found, truth) for name in kinds if name != found.root]
+    row, found = measure(first, lambda: calibrate_drive(stated, recording, DriveOptions(seed=seed)))
+    if found is None:
+        return [row]
+    return [judge(replace(row, sensor=name), found, truth) for name in kinds if name != found.root]
 
 
 def describe_rig(kinds: Mapping[str, str], tolerance: tuple[float, ...]) -> Rig:
@@ -229,70 +116,6 @@ def describe_rig(kinds: Mapping[str, str], tolerance: tuple[float, ...]) -> Rig:
     rig = Rig.model_validate({"root": next(iter(kinds)), "target": {"kind": "surroundings"}, "sensors": sensors})
     metres, degrees = tolerance
     return rig.model_copy(update={"tolerance": Tolerance(translation=metres, rotation=degrees)})
-
-
-Judged = TypeVar("Judged", bound=Outcome)
-
-
-def judge(outcome: Judged, found: Calibration, truth: Truth) -> Judged:
-    """Compares one sensor with the ground truth."""
-    name, remarks = outcome.sensor, " | ".join(found.evidence.remarks)
-    sensor = next((one for one in found.sensors if one.name == name), None)
-    if sensor is None:
-        return replace(outcome, text=f"{found.evidence.unconnected.get(name, '')} | {remarks}")
-    error = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[name])
-    variances = np.diag(sensor.covariance)
-    axes = np.flatnonzero(np.isfinite(variances) & (variances > 0))
-    squared = _squared_distance(error, sensor.covariance, axes)
-    limit = float(chi2.ppf(ELLIPSOID, max(len(axes), 1)))
-    beyond = max(1 - np.sqrt(limit / squared), 0.0) if squared > 0 else 0.0
-    known = np.zeros(6)
-    known[axes] = error[axes]
-    millimetres = 1000 * float(np.linalg.norm(known[:3]))
-    degrees = float(np.degrees(np.linalg.norm(known[3:])))
-    clock, (metres, radians) = sensor.clock_offset, sensor.worst_stddev
-    translation, rotation = axes[axes < 3], axes[axes >= 3]
-    good = sensor.verdict.grade == "good"
-    audits = audit(error, sensor.covariance, axes, outcome.seed) if good else [NAN] * len(MOVES)
-    return replace(
-        outcome,
-        grade=sensor.verdict.grade,
-        millimetres=millimetres,
-        degrees=degrees,
-        clock_milliseconds=NAN if clock is None else 1000 * (clock - truth.clock_offsets[name]),
-        nees=squared / max(len(axes), 1),
-        nees_translation=_squared_distance(error, sensor.covariance, translation) / max(len(translation), 1),
-        nees_rotation=_squared_distance(error, sensor.covariance, rotation) / max(len(rotation), 1),
-        stddev_millimetres=1000 * metres,
-        stddev_degrees=float(np.degrees(radians)),
-        outside_millimetres=beyond * millimetres,
-        outside_degrees=beyond * degrees,
-        false_alarm=audits[0],
-        found_5=audits[1],
-        found_20=audits[2],
-        found_50=audits[3],
-        text=f"{sensor.verdict.reason} | {remarks}".strip(" |"),
-    )
-
-
-def audit(error: Array, covariance: Array, axes: Index, seed: int) -> list[float]:
-    """Shares of the moves of each size that are significant beside the error (6,) of a pose."""
-    rng = np.random.default_rng([seed, 7])
-    limit = SignificanceTest.of(VerdictSettings().false_alarm_probability, len(axes)).max_chi2
-    directions = np.zeros((DIRECTIONS, 6))
-    directions[:, axes] = rng.normal(size=(DIRECTIONS, len(axes)))
-    for block, unit in ((slice(0, 3), 1.0), (slice(3, 6), np.radians(DEGREES_PER_METRE))):
-        directions[:, block] *= unit / np.linalg.norm(directions[:, block], axis=1, keepdims=True)
-    return [
-        float(np.mean([_squared_distance(error - size * one, covariance, axes) > limit for one in directions]))
-        for size in MOVES
-    ]
-
-
-def _squared_distance(error: Array, covariance: Array, axes: Index) -> float:
-    """Squared Mahalanobis distance along and about some axes."""
-    part = error[axes]
-    return float(part @ np.linalg.solve(covariance[np.ix_(axes, axes)], part)) if len(axes) else 0.0
 
 
 @cache
@@ -334,103 +157,13 @@ def read_window(path: Path, window: int, frame: str) -> tuple[MessageRecording, 
     return MessageRecording(messages), truth, {"right": "lidar2d", "left": "lidar2d"}
 
 
-def reset_peak() -> None:
-    """Makes the largest memory of this process that of now, where the system has it."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
-def read_peak() -> float:
-    """Largest memory of this process, GB."""
-    try:
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 2**20
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-
-
-def _processor() -> str:
-    """The name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return "unknown processor"
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
-
-
-def show_each(outcomes: Sequence[Outcome]) -> None:
-    """Prints a line for each sensor."""
-    for one in outcomes:
-        print(
-            f"{one.kind:20} {one.rig:14} {one.seed:4d} {one.sensor:12} {one.grade:12} {one.millimetres:8.2f} mm "
-            f"(σ {one.stddev_millimetres:.2f}) {one.degrees:7.3f} deg (σ {one.stddev_degrees:.3f}) "
-            f"{one.clock_milliseconds:7.2f} ms NEES {one.nees:.2f} {one.text[:160]}"
-        )
-
-
-def show(outcomes: Sequence[Outcome]) -> None:
-    """Prints the table, each sensor that is confidently wrong, failures, and all reasons."""
-    print(TABLE.head)
-    groups = grouped(outcomes, lambda one: (one.kind, one.rig))
-    for label, group in groups:
-        show_line(label, group)
-    if len(groups) > 1:
-        show_line(("all", ""), outcomes)
+def show_audits(outcomes: Sequence[Outcome]) -> None:
+    """Prints what audits of good poses find, and verdicts of sensors that have enough surfaces in common."""
     good = [one for one in outcomes if one.grade == "good"]
-    confident = [one for one in outcomes if one.confidently_wrong]
-    print(f"\nconfidently wrong: {len(confident)} of {len(good)} good sensors ({share(confident, good)}):")
-    for one in confident:
-        print(
-            f"    {one.kind} {one.rig} seed {one.seed} {one.sensor}: {one.millimetres:.1f} mm, "
-            f"{one.degrees:.3f} deg, NEES {one.nees:.1f}"
-        )
-    if good:
-        found = ", ".join(
-            f"{mean([getattr(one, f'found_{n}') for one in good]):.0%} of {n} mm" for n in (5, 20, 50)
-        )
-        print(f"audits: {mean([one.false_alarm for one in good]):.0%} false alarms; moves found: {found}")
+    found = ", ".join(f"{mean([getattr(one, f'found_{n}') for one in good]):.0%} of {n} mm" for n in (5, 20, 50))
+    print(f"audits: {mean([one.false_alarm for one in good]):.0%} false alarms; moves found: {found}")
     enough = [one for one in outcomes if one.sensor and FEW_SURFACES not in one.text]
     print(f"with enough common surfaces: {len(enough)} sensors, good {share(good, enough)}")
-    for one in outcomes:
-        if not one.sensor:
-            word = "crashed" if one.crashed else "failed"
-            print(f"{word}: {one.kind} {one.rig} seed {one.seed}: {one.text[:200]}")
-    print("\nreasons and remarks, by kind, without numbers:")
-    texts = [(one.kind, clause.strip()) for one in outcomes for clause in one.text.split("|") if clause.strip()]
-    for (kind, text), same in grouped(texts, lambda one: (one[0], _without_numbers(one[1]))):
-        print(f"    {kind:20} {len(same):3d} x {text[:240]}")
-    simulated = finite([group[0].simulated_seconds for _, group in _drives(outcomes)])
-    if len(simulated):
-        print(f"\nsimulation: {simulated.mean():.1f} s of CPU a drive, at most {simulated.max():.1f} s")
-
-
-def _drives(outcomes: Sequence[Outcome]) -> list[tuple[tuple[str, str, int], list[Outcome]]]:
-    return grouped(outcomes, lambda one: (one.kind, one.rig, one.seed))
-
-
-def _without_numbers(text: str) -> str:
-    return "".join("#" if c.isdigit() else c for c in text)
-
-
-def show_line(label: tuple[str, str], group: Sequence[Outcome]) -> None:
-    """Prints figures of some sensors: medians and largest errors, means of NEES of poses that are observable."""
-    drives = [some for _, some in _drives(group)]
-    counts = [sum(one.grade == grade for one in group) for grade in ("good", "weak", "unobservable", "none")]
-    started = sum(all(one.grade != "none" for one in some) for some in drives)
-    posed = [one for one in group if one.grade in ("good", "weak")]
-    clocks = np.abs([one.clock_milliseconds for one in group])
-    print(
-        TABLE.line(
-            *label, len(drives), started, *counts,
-            median([one.millimetres for one in group]), worst([one.millimetres for one in group]),
-            median([one.degrees for one in group]), worst([one.degrees for one in group]),
-            median(clocks), worst(clocks),
-            mean([one.nees for one in posed]), mean([one.nees_translation for one in posed]),
-            mean([one.nees_rotation for one in posed]),
-            sum(one.outside for one in group), sum(one.confidently_wrong for one in group),
-            mean([some[0].seconds for some in drives]), worst([some[0].gigabytes for some in drives]),
-        )
-    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ Key = TypeVar("Key")
 NAN = float("nan")
 _READ: dict[type, Callable[[str], Any]] = {bool: "True".__eq__, int: int, float: float}
 _BLOCK = 5
-"""Worlds of each process between two writes of the file."""
+"""Worlds of each process before a new one."""
 
 
 def make_parser(text: str | None, *, jobs: int = 0, path: Path | None = None) -> argparse.ArgumentParser:
@@ -75,12 +75,10 @@ def run_worlds(
     logging.disable(logging.WARNING)
     for first in range(0, len(missing), _BLOCK * arguments.jobs):
         block = [(function, *one) for one in missing[first : first + _BLOCK * arguments.jobs]]
-        new: list[Row] = []
-        for found_rows, taken in Processes(arguments.jobs).map(_measure, block):
-            new += found_rows
+        for new, taken in Processes(arguments.jobs).map(_measure, block):
+            append_rows(kind, new, arguments.csv)
+            rows += new
             seconds += taken
-        append_rows(kind, new, arguments.csv)
-        rows += new
         print(f"\r{first + len(block)} of {len(missing)} worlds", end="", file=sys.stderr, flush=True)
     logging.disable(logging.NOTSET)
     print(file=sys.stderr)

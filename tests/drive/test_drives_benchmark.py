@@ -8,7 +8,8 @@ import pytest
 
 from calgraph.geometry import se3
 from calgraph.result import Calibration, SensorPose, Verdict
-from drives import REAL_FRAMES, Outcome, Truth, judge, read_window
+from drives import REAL_FRAMES, read_window
+from judged_sensors import Outcome, Truth, judge, show_outcomes
 
 
 def write_log(path: Path, count: int) -> None:
@@ -85,3 +86,14 @@ def test_errors_are_those_of_the_measured_axes() -> None:
 )
 def test_confidently_wrong(offset: tuple[float, float], grade: str, stddev: float, wrong: bool) -> None:
     assert judged(offset, grade, stddev).confidently_wrong == wrong
+
+
+def test_how_rare_confidently_wrong_sensors_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without any, by the rule of three."""
+    right, wrong = judged((0.001, 0.0)), judged((0.06, 0.0))
+    show_outcomes([right] * 100, verbose=False)
+    assert "0 of 100 good sensors (0.0%), 0 gross" in (text := capsys.readouterr().out)
+    assert "with 95 %, less than 3.0% are confidently wrong" in text
+    show_outcomes([right] * 99 + [wrong], verbose=True)
+    assert "1 of 100 good sensors (1.0%), 1 gross" in (text := capsys.readouterr().out)
+    assert "good ones are at most 60.0 mm" in text

@@ -55,8 +55,10 @@ class PeriodEquations:
 class ChangeTest:
     """Of one change."""
 
+    gain: float
+    """Squared Mahalanobis distance of the change from none."""
     statistic: float
-    """Squared Mahalanobis distance of the change from none, over the scatter of periods."""
+    """The same over the scatter of periods."""
     limit: float
     """Above which it is significant."""
     size: Array
@@ -76,9 +78,11 @@ def search_changes(
     """
     for _ in range(most if directions else 0):
         tests = _test_changes(equations, directions, false_alarm_probability)
-        best = int(np.argmax([test.statistic / test.limit for test in tests]))
-        if tests[best].statistic <= tests[best].limit:
+        significant = [k for k, test in enumerate(tests) if test.statistic > test.limit]
+        if not significant:
             return
+        # What explains most: beside a change whose time is between periods, others have less scatter.
+        best = max(significant, key=lambda k: tests[k].gain / tests[k].limit)
         yield best, tests
         equations = equations.with_change(directions[best])
 
@@ -112,5 +116,6 @@ def _test_changes(
         squares = float(np.sum(by_period.T * np.linalg.solve(information, by_period.T)))
         scatter = max(squares / measured * K / (K - 1), 1.0)
         limit = SCATTER_FACTOR * float(chdtri(measured, false_alarm_probability))
-        tests.append(ChangeTest(float(-gradient @ size) / scatter, limit, size))
+        gain = float(-gradient @ size)
+        tests.append(ChangeTest(gain, gain / scatter, limit, size))
     return tests

@@ -30,19 +30,28 @@ def measure_agreement(worlds: Sequence[Sequence[tuple[Array, Index]]]) -> Array:
     Args:
         worlds: of each world, the points (N, n) that each sensor measured there, m, and the views (N,) of these.
     """
-    S, n = len(worlds[0]), worlds[0][0][0].shape[1]
-    scatter = np.zeros((S, S, n, n))
-    for world in worlds:
-        for i, (points, views) in enumerate(world):
-            surfaces = fit_surfaces(points, views, THICKNESS_PER_GATE * _NEAR)
-            for j in range(S):
-                if j != i:
-                    scatter[i, j] += _compare(surfaces, world[j][0])
-    return np.asarray(np.linalg.eigvalsh(scatter + np.swapaxes(scatter, 0, 1))[..., n - 2] / 2)
+    agree, differ = np.sum([compare_maps(world) for world in worlds], axis=0)
+    return np.asarray(np.linalg.eigvalsh(agree - differ)[..., -2])
+
+
+def compare_maps(world: Sequence[tuple[Array, Index]]) -> Array:
+    """(2, S, S, n, n) sums of n nᵀ over the surfaces of two sensors on which the other's points are, and are not.
+
+    Args:
+        world: the points (N, n) of each sensor, m, and their views (N,).
+    """
+    S, n = len(world), world[0][0].shape[1]
+    sums = np.zeros((2, S, S, n, n))
+    for i, (points, views) in enumerate(world):
+        surfaces = fit_surfaces(points, views, THICKNESS_PER_GATE * _NEAR)
+        for j in range(S):
+            if j != i:
+                sums[:, i, j] = _compare(surfaces, world[j][0])
+    return np.asarray((sums + np.swapaxes(sums, 1, 2)) / 2)
 
 
 def _compare(surfaces: FlatCells, points: Array) -> Array:
-    """(n, n) sum of n nᵀ over the surfaces on which points (N, n) are, less those beside which they are."""
+    """(2, n, n) sums of n nᵀ over the surfaces on which points (N, n) are, and are not."""
     index = surfaces.find(points)
     points, index = points[index >= 0], index[index >= 0]
     local = np.einsum("ni,nij->nj", points - surfaces.center[index], surfaces.axes[index])
@@ -50,5 +59,5 @@ def _compare(surfaces: FlatCells, points: Array) -> Array:
     index, near = index[inside], np.abs(local[inside, 0]) < _NEAR
     count = np.bincount(index, minlength=len(surfaces.keys))
     share = np.bincount(index, near, len(surfaces.keys)) / np.maximum(count, 1)
-    sign = np.where(share > 0.5, 1.0, -1.0) * (count >= _MIN_POINTS)
-    return np.asarray(surfaces.normals.T @ (sign[:, None] * surfaces.normals))
+    on = np.array([share > 0.5, share <= 0.5]) & (count >= _MIN_POINTS)
+    return np.asarray(np.einsum("kc,ci,cj->kij", on.astype(np.float64), surfaces.normals, surfaces.normals))

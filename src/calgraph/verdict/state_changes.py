@@ -28,6 +28,8 @@ _FALSE_ALARM = 0.05
 _INDISTINGUISHABLE_RATIO = 1e4
 # Changes that are found: with more, something changes all the time.
 _MAX_CHANGES = 4
+Kind = Literal["pose", "clock"]
+"""Of what changes."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +38,21 @@ class Change:
 
     sensors: tuple[int, ...]
     """The sensor; several if the drive does not determine which of them it was."""
-    kind: Literal["pose", "clock"]
+    kind: Kind
     time: float | None
     """Of a step, by the root's clock, s; None of a drift."""
     size: tuple[float, ...]
     """Of the pose (n + d,) along the root's axes, m and rad, or of the clock (1,), s; of a drift, in all."""
 
 
-def find_changes(equations: PeriodEquations, free: NDArray[np.bool_], ends: Array, places: Array) -> list[Change]:
+def find_changes(
+    equations: PeriodEquations,
+    free: NDArray[np.bool_],
+    ends: Array,
+    places: Array,
+    kinds: Sequence[Kind] = ("pose", "clock"),
+    false_alarm_probability: float = _FALSE_ALARM,
+) -> list[Change]:
     """The significant changes of poses and clocks, the root's included, each searched beside those before it.
 
     Args:
@@ -52,12 +61,14 @@ def find_changes(equations: PeriodEquations, free: NDArray[np.bool_], ends: Arra
         free: (S, F) which of the states are estimated.
         ends: (K,) of the periods by the root's clock, s.
         places: (S, n) of the sensors from the first, the root, m.
+        kinds: of changes.
+        false_alarm_probability: of each change, where nothing does and errors are independent.
     """
     S = len(places)
-    candidates = _list_candidates(len(equations.gradient), free, ends, places)
+    candidates = _list_candidates(len(equations.gradient), free, ends, places, kinds)
     directions = [one.direction for one in candidates]
     changes = []
-    for best, tests in search_changes(equations, directions, _MAX_CHANGES, _FALSE_ALARM):
+    for best, tests in search_changes(equations, directions, _MAX_CHANGES, false_alarm_probability):
         chosen = candidates[best]
         near = tests[best].statistic - 2 * np.log(_INDISTINGUISHABLE_RATIO)
         alike = {
@@ -76,21 +87,22 @@ class _Candidate:
     """A change of the state of one sensor as a function of time."""
 
     sensor: int
-    kind: Literal["pose", "clock"]
+    kind: Kind
     time: float | None
     """Of a step, s."""
     direction: Array
     """(R, c) by which the states in all periods change with it."""
 
 
-def _list_candidates(rows: int, free: NDArray[np.bool_], ends: Array, places: Array) -> list[_Candidate]:
+def _list_candidates(
+    rows: int, free: NDArray[np.bool_], ends: Array, places: Array, kinds: Sequence[Kind]
+) -> list[_Candidate]:
     """Steps after each period, and drifts. Those of the root are those of all others the other way round."""
     S = len(places)
     inside = ends[_MIN_PERIODS - 1 : len(ends) - _MIN_PERIODS]
     functions: list[tuple[float | None, Array]] = [(float(time), (ends > time) * 1.0) for time in inside]
     if len(inside):
         functions.append((None, (ends - ends.mean()) / np.ptp(ends)))
-    kinds: tuple[Literal["pose", "clock"], ...] = ("pose", "clock")
     number, period, column = np.nonzero(np.repeat(free[:, None], len(ends), axis=1))
     found = []
     for sensor in range(0 if S > 2 else 1, S):
@@ -103,7 +115,7 @@ def _list_candidates(rows: int, free: NDArray[np.bool_], ends: Array, places: Ar
     return found
 
 
-def _change_states(numbers: int, places: Array, sensor: int, kind: Literal["pose", "clock"]) -> Array:
+def _change_states(numbers: int, places: Array, sensor: int, kind: Kind) -> Array:
     """(S, F, c) change of states of F numbers with that of the pose (n + d,) or the clock (1,) of a sensor."""
     n = places.shape[1]
     size = n * (n + 1) // 2

@@ -23,14 +23,7 @@ class Scene:
 
 
 def build_scene(
-    seed: int,
-    *,
-    duration: float = 30.0,
-    people: int = 3,
-    sensors: int = 3,
-    bias: float = 0.0,
-    jump: float = 0.0,
-    step: tuple[float, float] = (0.0, 0.0),
+    seed: int, *, duration: float = 30.0, people: int = 3, sensors: int = 3, bias: float = 0.0, jump: float = 0.0
 ) -> Scene:
     """Sensors in corners of a hall.
 
@@ -41,7 +34,6 @@ def build_scene(
         sensors: their number.
         bias: standard deviation of the range biases of sensors, m.
         jump: of the last sensor's clock in the middle, s.
-        step: of the places (x, y) that the last sensor measures of people in the second half, m.
     """
     rng = np.random.default_rng(seed)
     corners = np.array([[0.4, 0.5], [13.5, 9.4], [13.6, 0.6], [0.5, 9.5]])[:sensors]
@@ -55,7 +47,7 @@ def build_scene(
     observations = []
     for k, state in enumerate(truth):
         last = k == sensors - 1
-        tracks = [_track(path, state, duration, jump * last, np.array(step) * last, rng) for path in paths]
+        tracks = [_track(path, state, duration, jump * last, rng) for path in paths]
         observations.append(
             SpaceObservations(
                 np.eye(4), np.zeros(3), _measure_box(state, rng), np.zeros(0, dtype=np.bool_), tuple(tracks),
@@ -66,7 +58,7 @@ def build_scene(
 
 
 def _track(
-    path: CubicSpline, state: SensorState, duration: float, jump: float, step: Array, rng: np.random.Generator
+    path: CubicSpline, state: SensorState, duration: float, jump: float, rng: np.random.Generator
 ) -> BodyTrack:
     times = np.arange(rng.uniform(0, PERIOD), duration, PERIOD)
     axis, velocity = path(times), path(times, 1)
@@ -77,14 +69,13 @@ def _track(
     second = np.floor(times).astype(int)
     errors = 0.01 * rng.normal(size=(2, int(duration) + 1))[:, second] + 0.015 * rng.normal(size=(2, len(times)))
     front = 0.13 - 0.04 * (2 * along**2 - 1)
-    late = times > duration / 2
-    place = axis + outward * (errors[0] - front)[:, None] + across * errors[1][:, None] + late[:, None] * step
+    place = axis + outward * (errors[0] - front)[:, None] + across * errors[1][:, None]
     heights = 1.3 + 0.1 * rng.normal(size=len(times))
     measured = se3.apply(se3.inverse(state.T_root_sensor), np.column_stack([place, heights]))
     ranges = np.linalg.norm(measured, axis=1, keepdims=True)
     measured *= 1 + state.range_bias / ranges
     stddev = np.full(len(times), 0.02)
-    stamps = times + state.clock_offset + jump * late
+    stamps = times + state.clock_offset + jump * (times > duration / 2)
     return BodyTrack(stamps, measured, stddev, stddev, np.full(len(times), 20))
 
 

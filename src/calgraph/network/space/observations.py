@@ -39,12 +39,14 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class StaticStep:
-    """A moment after which what stands still is at other ranges: the sensor moved."""
+    """A moment after which what stands still is elsewhere: the sensor moved."""
 
     time: float
     """By the sensor's clock, s."""
-    size: float
-    """Median change of ranges, m."""
+    shift: float
+    """m."""
+    turn: float
+    """rad."""
 
 
 @dataclass(frozen=True, eq=False)

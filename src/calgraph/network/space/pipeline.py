@@ -146,8 +146,8 @@ def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: 
     """A finding for each sensor that moved during the recording."""
     return [
         Finding(
-            f"{name} moved {one.step.time - begin:.0f} s from the start: ranges of what stands still changed by "
-            f"{1000 * one.step.size:.0f} mm; fix it firmly, and record again",
+            f"{name} moved {one.step.time - begin:.0f} s from the start, by {1000 * one.step.shift:.1f} mm and "
+            f"{np.degrees(one.step.turn):.2f}° relative to what stands still: fix it firmly, and record again",
             tuple(measured) if name == rig.root else (name,),
         )
         for name, one in measured.items()

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from calgraph.geometry import Array, Index
 from calgraph.network.space.observations import StaticPoints, StaticStep
+from calgraph.network.space.static_steps import find_step
 from calgraph.sensors import PointCloud
 
 # Edge of a cell, rad (0.4°): less than the distance of rings of most LiDARs, and at least one beam of a sweep.
@@ -39,14 +40,8 @@ _MIN_COUNT, _MIN_SHARE = 8, 0.3
 # Distance to the next measured cell within which a direction is in the field of view: 1.2°, more than half of the
 # distance of rings of all but 8-ring LiDARs.
 _FILLED_CELLS = 3
-# Sweeps of a period, 5 s at 10 Hz, whose mean ranges are compared with those of others; least measurements of a
-# direction before and after a step, and least number of such directions.
-_PERIOD, _MIN_COMPARED, _MIN_DIRECTIONS = 50, 8, 200
-# Ranges are multiples of this, m: their variance may be zero.
-_RANGE_QUANTUM = 0.002
-# Median change of mean ranges in standard deviations from which a sensor moved: it is 0.67 of normal errors, 0.58
-# to 0.71 in 13 simulated sensors that rest, also where chairs move and in rain; 1.7 after 6 mm and 0.26°.
-_MOVED = 1.2
+# Sweeps of a period, 5 s at 10 Hz, whose mean ranges are compared with those of others.
+_PERIOD = 50
 # Longest time between two sweeps within a coverage interval, s: in a longer one a person may cross the view.
 _MAX_GAP = 0.5
 
@@ -168,7 +163,8 @@ class CloudSplitter:
         order = np.lexsort((moving.times, stamps[moving.sweep]))
         rank = np.empty(len(stamps), dtype=np.intp)
         rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
-        static, of_slot = self._average()
+        static, of_slot, enough = self._average()
+        count, total = np.moveaxis(self._by_period[:, enough], -1, 0)
         return SplitClouds(
             static,
             MovingPoints(
@@ -179,7 +175,7 @@ class CloudSplitter:
             ),
             _fill_view(self._cells, of_slot),
             _find_coverage(np.sort(stamps + first), np.sort(stamps + last)),
-            self._find_step(stamps),
+            find_step(static, count, total, stamps[::_PERIOD]),
         )
 
     def _split_held(self) -> None:
@@ -214,27 +210,8 @@ class CloudSplitter:
         moving = _find_moving(self._histogram, _SURE_SHARE)
         self._candidates.append(part.select(moving[part.slot, part.bin]))
 
-    def _find_step(self, stamps: Array) -> StaticStep | None:
-        """The step between periods by which mean ranges of most directions change most."""
-        count, total = np.moveaxis(self._by_period, -1, 0)
-        n = np.maximum(self._sums[:, 0], 2)
-        variance = np.maximum(self._sums[:, 5] / n - (self._sums[:, 4] / n) ** 2, 0) + _RANGE_QUANTUM**2
-        found, largest = None, _MOVED
-        for k in range(1, len(count)):
-            parts = ((some[:k].sum(axis=0), some[k:].sum(axis=0)) for some in (count, total))
-            (n_a, n_b), (sum_a, sum_b) = parts
-            used = (n_a >= _MIN_COMPARED) & (n_b >= _MIN_COMPARED)
-            if used.sum() < _MIN_DIRECTIONS:
-                continue
-            change = np.abs(sum_b[used] / n_b[used] - sum_a[used] / n_a[used])
-            stddev = np.sqrt(variance[used] * (1 / n_a[used] + 1 / n_b[used]))
-            significance = float(np.median(change / stddev))
-            if significance > largest:
-                largest, found = significance, StaticStep(float(stamps[k * _PERIOD]), float(np.median(change)))
-        return found
-
-    def _average(self) -> tuple[StaticPoints, Array]:
-        """Static points, and the static range of each slot (S,), m; inf where nothing stands still."""
+    def _average(self) -> tuple[StaticPoints, Array, NDArray[np.bool_]]:
+        """Static points; of each slot (S,) the static range, m, inf where nothing stands still, and if it does."""
         count = self._sums[:, 0]
         enough = (count >= _MIN_COUNT) & (count >= _MIN_SHARE * self._histogram.sum(axis=1))
         n = count[enough, None]
@@ -243,7 +220,7 @@ class CloudSplitter:
         ranges = np.full(len(count), np.inf)
         ranges[enough] = mean[:, 3]
         static = StaticPoints(mean[:, :3], np.sqrt(variance), n[:, 0].astype(np.intp))
-        return static, ranges
+        return static, ranges, enough
 
 
 def _find_cells(points: Array | NDArray[np.float32], ranges: Array | NDArray[np.float32]) -> Index:

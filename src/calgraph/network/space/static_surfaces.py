@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.persons import LEVELLING
 from calgraph.surfaces.flat_cells import FlatCells, sum_moments
+from calgraph.surfaces.map_agreement import compare_maps
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.surfaces.surface_points import (
@@ -129,3 +130,22 @@ def reduce_surfaces(
 ) -> SurfaceEquations:
     """Normal equations of the free states (S, 12), with the surfaces eliminated."""
     return eliminate_surfaces(linearize_surfaces(shared, states), len(shared.surfaces.keys), noise, free, 0)
+
+
+def compare_walls(
+    points: Sequence[Array], states: Sequence[SensorState], flat: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """(S, S) number of walls on which the maps of two sensors agree, less those on which they do not; and balance.
+
+    The balance is that over the number of both, from -1 to 1. Walls count by the squares of their level normals:
+    floors agree wherever a sensor is.
+
+    Args:
+        points: (N, 3) of each sensor, in its frame, m.
+        states: of the sensors.
+        flat: (S,) which sensors are 2-D scanners.
+    """
+    world = [map_points(*one) for one in zip(points, states, flat.tolist(), strict=True)]
+    compared = compare_maps([(one, np.zeros(len(one), dtype=np.intp)) for one in world])
+    agree, differ = np.trace(compared[..., :2, :2], axis1=-2, axis2=-1)
+    return agree - differ, (agree - differ) / np.maximum(agree + differ, 1)
