@@ -8,7 +8,8 @@ Kinds are those of lidar_network_kinds.py, simulated in memory with bodies and r
 know. A row is one sensor besides the root, as in drives.py, which states what is *confidently wrong*. Poses are
 compared with those at the end, where a sensor was bumped, and with those in the middle, where one swings. The
 scale is that of the positions of all sensors about their mean, over the true ones; the table has mean and spread
-over networks, per mille. A network is connected if all of its sensors have poses.
+over networks, per mille. A network is connected if all of its sensors have poses. Errors in the plan are those of x,
+y and yaw, which 2-D scanners of mixed networks show; their heights and tilts are named as not observable.
 """
 
 import os
@@ -21,7 +22,7 @@ from numpy.linalg import LinAlgError
 
 from calgraph.config import Tolerance
 from calgraph.errors import CalgraphError
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
 from calgraph.simulation import simulate_hall
@@ -30,7 +31,7 @@ from lidar_network_kinds import KINDS, RIGS, WRONG, build_hall_scenario
 from worlds import NAN, Layout, finite, grouped, make_parser, mean, median, run_worlds, share, worst
 
 TABLE = Layout(
-    "kind:14 rig:12 nets:4d conn:4d good:4d weak:4d unob:4d none:4d mm:7.1f max:7.1f deg:6.3f max:6.3f clock:6.2f "
+    "kind:14 rig:12 nets:4d conn:4d good:4d weak:4d unob:4d none:4d mm:7.1f max:7.1f deg:6.3f max:6.3f plan:6.1f max:6.1f yaw:6.3f max:6.3f clock:6.2f "
     "max_ms:6.1f scale:6.2f std:5.2f NEES:6.2f trans:6.2f rot:6.2f out:4d conf:4d CPU_s:6.1f GB:5.2f"
 )
 ERRORS = (CalgraphError, ArithmeticError, LinAlgError, LookupError, ValueError)
@@ -43,6 +44,9 @@ class NetworkOutcome(Outcome):
 
     scale: float = NAN
     """Of the network over the true one, less 1."""
+    plan_millimetres: float = NAN
+    """Error in the plan, and about the vertical."""
+    yaw_degrees: float = NAN
 
 
 def main() -> None:
@@ -87,9 +91,23 @@ def run(kind: str, rig: str, seed: int, duration: float, tolerance: tuple[float,
         return [replace(first, crashed=not isinstance(error, CalgraphError), seconds=seconds, text=text)]
     poses = {one.name: one.T_root_sensor for one in found.sensors}
     rows = [judge(replace(first, sensor=name), found, truth) for name in stated.sensors if name != found.root]
+    rows = [measure_plan(row, poses, truth, hall.truth.T_world_root) for row in rows]
     scale = measure_scale(poses, truth.T_root_sensor)
     seconds, peak = time.process_time() - began, read_peak()
     return [replace(row, seconds=seconds, gigabytes=peak, scale=scale) for row in rows]
+
+
+def measure_plan(
+    row: NetworkOutcome, poses: Mapping[str, Array], truth: Truth, T_world_root: Array
+) -> NetworkOutcome:
+    """The row of a sensor with its errors in the plan."""
+    if row.sensor not in poses:
+        return row
+    error = se3.difference(poses[row.sensor], truth.T_root_sensor[row.sensor])
+    shift, turn = (T_world_root[:3, :3] @ part for part in (error[:3], error[3:]))
+    return replace(
+        row, plan_millimetres=1000 * float(np.hypot(*shift[:2])), yaw_degrees=float(np.degrees(abs(turn[2])))
+    )
 
 
 def measure_scale(poses: Mapping[str, Array], true: Mapping[str, Array]) -> float:
@@ -145,6 +163,8 @@ def show_line(label: tuple[str, str], group: Sequence[NetworkOutcome]) -> None:
             *label, len(networks), sum(all(one.grade != "none" for one in some) for some in networks), *counts,
             median([one.millimetres for one in group]), worst([one.millimetres for one in group]),
             median([one.degrees for one in group]), worst([one.degrees for one in group]),
+            median([one.plan_millimetres for one in group]), worst([one.plan_millimetres for one in group]),
+            median([one.yaw_degrees for one in group]), worst([one.yaw_degrees for one in group]),
             median(clocks), worst(clocks),
             mean(scales), float(scales.std()) if len(scales) else NAN,
             mean([one.nees for one in posed]), mean([one.nees_translation for one in posed]),
