@@ -8,8 +8,8 @@ Kinds are those of lidar_network_kinds.py, simulated in memory with bodies and r
 know. A row is one sensor besides the root, as in drives.py, which states what is *confidently wrong*. Poses are
 compared with those at the end, where a sensor was bumped, and with those in the middle, where one swings. The
 scale is that of the positions of all sensors about their mean, over the true ones; the table has mean and spread
-over networks, per mille. A network is connected if all of its sensors have poses. Errors in the plan are those of x,
-y and yaw, which 2-D scanners of mixed networks show; their heights and tilts are named as not observable.
+over networks, per mille. A network is connected if all of its sensors have poses. Errors in the plan are of x, y
+and yaw, which 2-D scanners of mixed networks show; their heights and tilts are named as not observable.
 """
 
 import os
@@ -31,8 +31,9 @@ from lidar_network_kinds import KINDS, RIGS, WRONG, build_hall_scenario
 from worlds import NAN, Layout, finite, grouped, make_parser, mean, median, run_worlds, share, worst
 
 TABLE = Layout(
-    "kind:14 rig:12 nets:4d conn:4d good:4d weak:4d unob:4d none:4d mm:7.1f max:7.1f deg:6.3f max:6.3f plan:6.1f max:6.1f yaw:6.3f max:6.3f clock:6.2f "
-    "max_ms:6.1f scale:6.2f std:5.2f NEES:6.2f trans:6.2f rot:6.2f out:4d conf:4d CPU_s:6.1f GB:5.2f"
+    "kind:14 rig:12 nets:4d conn:4d good:4d weak:4d unob:4d none:4d mm:7.1f max:7.1f deg:6.3f max:6.3f "
+    "plan:6.1f max:6.1f yaw:6.3f max:6.3f clock:6.2f max_ms:6.1f scale:6.2f std:5.2f "
+    "NEES:6.2f trans:6.2f rot:6.2f out:4d conf:4d CPU_s:6.1f GB:5.2f"
 )
 ERRORS = (CalgraphError, ArithmeticError, LinAlgError, LookupError, ValueError)
 """Of a calibration that fails."""

@@ -14,12 +14,7 @@ from scipy.special import chdtri
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.periods import release_periods
-from calgraph.network.space.person_paths import (
-    BodyNoise,
-    PersonEquations,
-    expect_shapes,
-    reduce_person,
-)
+from calgraph.network.space.person_paths import BodyNoise, PersonEquations, expect_shapes, reduce_person
 from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
 from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
