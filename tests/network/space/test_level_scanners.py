@@ -1,5 +1,7 @@
 """2-D scanners in a network in space: what they measure, and what of their poses they show."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,7 +11,8 @@ from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
 from calgraph.network.space.joint import solve_space
-from calgraph.network.space.level_scanners import observe_scanner
+from calgraph.network.space.level_scanners import observe_scanner, stand_on_floor
+from calgraph.network.space.observations import StaticPoints
 from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.simulation import HallScenario, simulate_hall
 from calgraph.surfaces.sensor_states import SensorState
@@ -50,6 +53,21 @@ def test_bodies_are_measured_in_the_frame_of_the_scanner(inverted: bool) -> None
     assert_allclose(bearing, np.arctan2(np.arange(0.0, 3.0, 0.1) - 1.5, 4.0), atol=np.radians(0.3))
     distance = np.hypot(4.0, np.arange(0.0, 3.0, 0.1) - 1.5)
     assert_allclose(np.linalg.norm(centers, axis=1), distance - 0.16, atol=0.02)
+
+
+@pytest.mark.parametrize(("place", "known"), [(1.0, True), (8.0, False)])
+def test_a_stated_height_is_that_over_a_floor_that_is_measured(place: float, known: bool) -> None:
+    """A floor 0.3 m over the root's, around x = 0."""
+    x, y = np.meshgrid(np.arange(-2.0, 2.0, 0.2), np.arange(-2.0, 2.0, 0.2))
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.3)])
+    tracks = ScannerTracks((track_disc(0.2),), np.array([[5.0, 1.0]]), 0.01)
+    scanner = observe_scanner(tracks, Lidar2dSpec(topic="/scan", height=0.4), False)
+    static = StaticPoints(points, np.full(x.size, 0.01), np.full(x.size, 100))
+    lidar = replace(scanner, static=static, floor_points=np.ones(x.size, dtype=np.bool_))
+    T = se3.pose(np.eye(3), np.array([place, 0.0, 0.4]))
+    state, found = stand_on_floor(SensorState(T), scanner, [(SensorState(np.eye(4)), lidar)])
+    assert state.T_root_sensor[2, 3] == pytest.approx(0.7 if known else 0.4)
+    assert (found.floor_stddev[2] < 0.1) == known
 
 
 @pytest.mark.parametrize("seed", range(2))
