@@ -8,7 +8,8 @@ Kinds are those of lidar_network_kinds.py, simulated in memory with bodies and r
 know. A row is one sensor besides the root; judged_sensors.py states what its columns are, and what is *confidently
 wrong*. Poses are compared with those at the end, where a sensor was bumped, and with those in the middle, where
 one swings. The scale is that of the positions of all sensors about their mean, over the true ones; the table has
-mean and spread over networks, per mille.
+mean and spread over networks, per mille. Errors in the plan are of x, y and yaw, which 2-D scanners of mixed
+networks show; their heights and tilts are named as not observable.
 """
 
 import time
@@ -18,13 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import Tolerance
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
 from calgraph.simulation import simulate_hall
 from judged_sensors import Outcome, Truth, judge, list_worlds, make_judging_parser, measure, show_outcomes
 from lidar_network_kinds import KINDS, RIGS, WRONG, build_hall_scenario
-from worlds import NAN, finite, mean, run_worlds
+from worlds import NAN, finite, mean, median, run_worlds, worst
+
+COLUMNS = "scale:6.2f std:5.2f plan:6.1f max:6.1f yaw:6.3f max:6.3f"
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,9 @@ class NetworkOutcome(Outcome):
 
     scale: float = NAN
     """Of the network over the true one, less 1."""
+    plan_millimetres: float = NAN
+    """Error in the plan, and about the vertical."""
+    yaw_degrees: float = NAN
 
 
 def main() -> None:
@@ -41,7 +47,7 @@ def main() -> None:
     arguments = make_judging_parser(__doc__, list(KINDS), ["ordinary"], rigs, (0.02, 0.3)).parse_args()
     work = list_worlds(arguments, WRONG, tuple(arguments.tolerance))
     outcomes = run_worlds(NetworkOutcome, run, work, arguments, key=4)
-    show_outcomes(outcomes, arguments.verbose, "scale:6.2f std:5.2f", average_scales)
+    show_outcomes(outcomes, arguments.verbose, COLUMNS, summarize_networks)
 
 
 def run(kind: str, rig: str, seed: int, duration: float, tolerance: tuple[float, ...]) -> list[NetworkOutcome]:
@@ -57,7 +63,21 @@ def run(kind: str, rig: str, seed: int, duration: float, tolerance: tuple[float,
         return [row]
     poses = {one.name: one.T_root_sensor for one in found.sensors}
     row = replace(row, scale=measure_scale(poses, truth.T_root_sensor))
-    return [judge(replace(row, sensor=name), found, truth) for name in stated.sensors if name != found.root]
+    rows = [judge(replace(row, sensor=name), found, truth) for name in stated.sensors if name != found.root]
+    return [measure_plan(one, poses, truth, hall.truth.T_world_root) for one in rows]
+
+
+def measure_plan(
+    row: NetworkOutcome, poses: Mapping[str, Array], truth: Truth, T_world_root: Array
+) -> NetworkOutcome:
+    """The row of a sensor with its errors in the plan."""
+    if row.sensor not in poses:
+        return row
+    error = se3.difference(poses[row.sensor], truth.T_root_sensor[row.sensor])
+    shift, turn = (T_world_root[:3, :3] @ part for part in (error[:3], error[3:]))
+    return replace(
+        row, plan_millimetres=1000 * float(np.hypot(*shift[:2])), yaw_degrees=float(np.degrees(abs(turn[2])))
+    )
 
 
 def measure_scale(poses: Mapping[str, Array], true: Mapping[str, Array]) -> float:
@@ -71,10 +91,13 @@ def measure_scale(poses: Mapping[str, Array], true: Mapping[str, Array]) -> floa
     return float(spread / true_spread - 1)
 
 
-def average_scales(networks: Sequence[Sequence[NetworkOutcome]]) -> tuple[float, float]:
-    """Mean and spread of the scales of networks, per mille."""
+def summarize_networks(networks: Sequence[Sequence[NetworkOutcome]]) -> tuple[float, ...]:
+    """Mean and spread of scales, per mille; medians and largest errors in the plan, mm and degrees."""
     scales = 1000 * finite([some[0].scale for some in networks])
-    return mean(scales), float(scales.std()) if len(scales) else NAN
+    every = [one for some in networks for one in some]
+    plan, yaw = [one.plan_millimetres for one in every], [one.yaw_degrees for one in every]
+    spread = float(scales.std()) if len(scales) else NAN
+    return mean(scales), spread, median(plan), worst(plan), median(yaw), worst(yaw)
 
 
 if __name__ == "__main__":

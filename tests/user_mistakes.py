@@ -52,7 +52,7 @@ RIG_KEYS: Mapping[str, tuple[str, Any, str]] = {
     "an unknown family": ("target.family", "tag36h10", "'tag16h5' or an ArUco dictionary from"),
     "no target": ("target", None, "target: is missing .*calgraph board prints"),
     "a pattern as target": ("target.kind", "checkerboard", "must be one of board, people, cylinder"),
-    "people for a robot": ("target", {"kind": "people"}, "must be lidar3d beside 3-D LiDARs .*, got camera"),
+    "people for a robot": ("target", {"kind": "people"}, "must be lidar3d or lidar2d beside .*, got camera"),
     "a cylinder in mm": (
         "target",
         {"kind": "cylinder", "diameter": 500},

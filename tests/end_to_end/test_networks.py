@@ -181,13 +181,13 @@ def test_a_driving_scanner_is_named_and_the_others_are_calibrated(tmp_path: Path
     assert reason.startswith("it moves")
 
 
-def test_a_network_of_2d_and_3d_scanners_is_bad_input(data_dir: Path) -> None:
+def test_a_scanner_as_root_beside_a_lidar_is_bad_input(data_dir: Path) -> None:
     sensors = {
         "front": {"kind": "lidar2d", "topic": "/front_scan"},
         "eye": {"kind": "lidar3d", "topic": "/rear_scan"},
     }
     with (
         open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording,
-        pytest.raises(InputError, match=r"sensors\.front\.kind: must be lidar3d beside 3-D LiDARs"),
+        pytest.raises(InputError, match=r"root: must be a 3-D LiDAR, .*, got front"),
     ):
         calibrate(Rig.model_validate({**TWO, "sensors": sensors}), recording, NetworkOptions())

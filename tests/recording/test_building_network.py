@@ -12,7 +12,8 @@ from calgraph.simulation import STANDARD_RIGS, DriveScenario, HallScenario, simu
 
 
 def list_topics(recording: Recording) -> list[FoundTopic]:
-    return [FoundTopic(topic.name, "", "lidar3d", topic.count) for topic in recording.topics]
+    kinds = {True: "lidar2d", False: "lidar3d"}
+    return [FoundTopic(one.name, "", kinds[one.name.endswith("scan")], one.count) for one in recording.topics]
 
 
 def measure_room(place: Array, walkers: Array) -> list[Message]:
@@ -48,6 +49,14 @@ def test_a_hall_is_recognized_unless_other_sensors_or_triggers_are_recorded() ->
     assert "3-D LiDARs are at rest" in network.reason
     assert find_building_network(hall, [*list_topics(hall), FoundTopic("/image", "", "camera", 60)]) is None
     assert find_building_network(hall, [*list_topics(hall), FoundTopic("/trigger", "", "event", 12)]) is None
+
+
+def test_scanners_may_be_beside_lidars_but_not_alone() -> None:
+    hall = simulate_hall(HallScenario(1, duration=12.0, lidars=("vlp16",), scanners=(0.9,), people=2)).recording
+    network = find_building_network(hall, list_topics(hall))
+    assert network is not None
+    assert network.reason.startswith("LiDARs are at rest")
+    assert find_building_network(hall, [FoundTopic(f"/{k}", "", "lidar2d", 100) for k in range(2)]) is None
 
 
 def test_a_drive_is_none() -> None:

@@ -60,10 +60,8 @@ def find_building_network(recording: Recording, topics: Sequence[FoundTopic]) ->
     apart = max(_compare(distances[a.name], distances[b.name]) for a, b in combinations(sensors, 2))
     if apart < _MIN_DIFFERENCE:
         return None
-    return BuildingNetwork(
-        f"{'LiDARs' if 'lidar2d' in kinds else '3-D LiDARs'} are at rest, and what moves is {apart:.0f} m nearer to "
-        "one than to another"
-    )
+    what = "LiDARs" if "lidar2d" in kinds else "3-D LiDARs"
+    return BuildingNetwork(f"{what} are at rest, and what moves is {apart:.0f} m nearer to one than to another")
 
 
 def measure_moving(recording: Recording, topics: Sequence[str]) -> dict[str, Array]:

@@ -136,7 +136,7 @@ SPACE_VOCABULARY = replace(
     items_caption=("A line is one track of one LiDAR. Hover over its ends for its time and outcome.", ""),
     no_pairs=NETWORK_VOCABULARY.no_pairs.replace("scanner", "LiDAR"),
     graph_caption=NETWORK_VOCABULARY.graph_caption.replace("scanner", "LiDAR"),
-    fit={"lidar3d": "distance from walls and floors"},
+    fit={"lidar3d": "distance from walls and floors", "lidar2d": "distance from walls"},
     residuals_caption=NETWORK_VOCABULARY.residuals_caption.replace("scanner", "LiDAR"),
     distances_caption="""\
 RMS distance of each LiDAR's tracks from the other LiDARs' tracks of the same person, under the final poses. Boxes

@@ -1,11 +1,11 @@
 """What stationary LiDARs measure of a box, and of people on smooth paths: for the joint solution."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se3, so3
 from calgraph.network.space.observations import BodyTrack, SpaceObservations, StaticPoints
 from calgraph.surfaces.sensor_states import TIMING, SensorState
 from network.space.people_hall import mount
@@ -23,7 +23,14 @@ class Scene:
 
 
 def build_scene(
-    seed: int, *, duration: float = 30.0, people: int = 3, sensors: int = 3, bias: float = 0.0, jump: float = 0.0
+    seed: int,
+    *,
+    duration: float = 30.0,
+    people: int = 3,
+    sensors: int = 3,
+    scanner: float = 0.0,
+    bias: float = 0.0,
+    jump: float = 0.0,
 ) -> Scene:
     """Sensors in corners of a hall.
 
@@ -32,6 +39,7 @@ def build_scene(
         duration: s.
         people: their number.
         sensors: their number.
+        scanner: height of a 2-D scanner, the last sensor, m; there is none if 0.
         bias: standard deviation of the range biases of sensors, m.
         jump: of the last sensor's clock in the middle, s.
     """
@@ -41,6 +49,9 @@ def build_scene(
     for k, corner in enumerate(corners):
         target = np.append(SIZE[:2] / 2 + rng.normal(size=2), rng.uniform(0, 1.5))
         T = mount(np.append(corner, rng.uniform(2.5, 3.5)), target, rng.uniform(-0.3, 0.3))
+        if scanner and k == sensors - 1:
+            level = so3.exp(np.array([0.0, 0.0, np.arctan2(T[1, 0], T[0, 0])]))
+            T = se3.pose(level @ so3.exp(np.append(0.02 * rng.normal(size=2), 0.0)), np.append(corner, scanner))
         truth.append(SensorState(T, 0.0 if k == 0 else rng.uniform(-0.05, 0.05), bias * rng.normal()))
     times = np.arange(0.0, duration + 8.0, 6.0)
     paths = [CubicSpline(times, 2.0 + rng.uniform(size=(len(times), 2)) * (SIZE[:2] - 4.0)) for _ in range(people)]
@@ -48,10 +59,14 @@ def build_scene(
     for k, state in enumerate(truth):
         last = k == sensors - 1
         tracks = [_track(path, state, duration, jump * last, rng) for path in paths]
+        flat = last and scanner > 0
+        static = _measure_box(state, rng, flat)
+        if flat:
+            tracks = [replace(track, centers=_flatten(track.centers)) for track in tracks]
         observations.append(
             SpaceObservations(
-                np.eye(4), np.zeros(3), _measure_box(state, rng), np.zeros(0, dtype=np.bool_), tuple(tracks),
-                np.array([[0.0, duration]]),
+                np.eye(4), np.zeros(3), static, np.zeros(0, dtype=np.bool_), tuple(tracks),
+                np.array([[0.0, duration]]), flat=flat,
             )
         )  # fmt: skip
     return Scene(observations, truth)
@@ -79,12 +94,20 @@ def _track(
     return BodyTrack(stamps, measured, stddev, stddev, np.full(len(times), 20))
 
 
-def _measure_box(state: SensorState, rng: np.random.Generator) -> StaticPoints:
+def _flatten(points: Array) -> Array:
+    """Points (N, 3) in the plane of their scanner, as far as before."""
+    return points * [1.0, 1.0, 0.0]
+
+
+def _measure_box(state: SensorState, rng: np.random.Generator, flat: bool) -> StaticPoints:
     """Points of floor and walls, with errors that are the same in each quarter of a metre."""
     origin = state.T_root_sensor[:3, 3]
     azimuth, elevation = rng.uniform(-np.pi, np.pi, 30_000), rng.uniform(-0.9, 0.15, 30_000)
     level = np.cos(elevation)
     beams = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    if flat:
+        angles = np.radians(np.arange(0, 360, 0.5))
+        beams = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(720)]) @ state.T_root_sensor[:3, :3].T
     with np.errstate(divide="ignore"):
         ranges = np.maximum((0 - origin) / beams, (SIZE - origin) / beams).min(axis=1)
     ranges += state.range_bias + 0.006 * rng.normal(size=len(ranges))

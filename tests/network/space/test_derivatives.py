@@ -49,7 +49,8 @@ def test_places_of_people(scene: Scene, sensor: int) -> None:
 def test_distances_from_surfaces(scene: Scene, sensor: int) -> None:
     """At places where beams meet their surface, the derivatives of the distances from it."""
     points = [thin_points(one.static.points) for one in scene.observations]
-    shared = find_shared_surfaces(points, scene.truth, 0.1)
+    flat = np.zeros(len(points), dtype=np.bool_)
+    shared = find_shared_surfaces(points, scene.truth, 0.1, flat)
     at = linearize_surfaces(shared, scene.truth)
     numerical = differentiate(lambda states: linearize_surfaces(shared, states).residual, scene.truth, sensor)
     of = at.sensor == sensor

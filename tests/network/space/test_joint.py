@@ -84,7 +84,9 @@ def test_maps_of_a_sensor_that_is_elsewhere_do_not_agree(move: tuple[float, ...]
     x, y, yaw = move
     T = se3.pose(so3.exp(np.array([0.0, 0.0, yaw])), np.array([x, y, 0.0]))
     states = [*scene.truth[:-1], replace(scene.truth[-1], T_root_sensor=T @ scene.truth[-1].T_root_sensor)]
-    _, balance = compare_walls([one.static.points for one in scene.observations], states, np.zeros(len(states), dtype=np.bool_))
+    _, balance = compare_walls(
+        [one.static.points for one in scene.observations], states, np.zeros(len(states), dtype=np.bool_)
+    )
     assert np.all(balance[-1, :-1] < 0.5)
 
 

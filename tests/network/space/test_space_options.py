@@ -22,7 +22,11 @@ def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
 @pytest.mark.parametrize(
     ("rig", "options", "message"),
     [
-        (rig_of("lidar2d"), NetworkOptions(), r"sensors\.sensor_2\.kind: must be lidar3d .* got lidar2d"),
+        (
+            rig_of("lidar2d").model_copy(update={"root": "sensor_2"}),
+            NetworkOptions(),
+            r"root: must be a 3-D LiDAR, .*, got sensor_2",
+        ),
         (
             rig_of(target={"kind": "cylinder", "diameter": 0.4}),
             NetworkOptions(),
@@ -36,7 +40,7 @@ def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
         (
             rig_of(),
             NetworkOptions(extend=Calibration("sensor_0", (), np.zeros((0, 0)))),
-            "`extend`: is of networks of 2-D scanners as yet",
+            "`extend`: is of networks of 2-D scanners alone as yet",
         ),
     ],
 )

@@ -82,7 +82,7 @@ def test_a_network_starts_within_15_cm(seed: int) -> None:
     lidars = build_lidars(2 + seed % 3, (16, 32)[seed % 2], rng)
     observed = {name: observe(hall, lidar, rng) for name, lidar in lidars.items()}
     rig = Rig(root="lidar_0", target=People(), sensors={name: Lidar3dSpec(topic=name) for name in lidars})
-    states = start_in_space(rig, observed, NetworkOptions(), rng, no_progress).states
+    states = start_in_space(rig, observed, {}, NetworkOptions(), rng, no_progress).states
     assert next(iter(states)) == "lidar_0"
     assert set(states) == set(lidars)
     for name, state in states.items():

@@ -35,8 +35,8 @@ _RANGE_ADVICE = (
     "(uncertainty: range_scale, range_bias)"
 )
 _LEVEL_ADVICE = (
-    "the walls and people that a 2-D scanner measures do not show its height, roll and pitch: measure these, and state "
-    "them in rig.yaml (height, roll, pitch, and uncertainty: tilt)"
+    "the walls and people that a 2-D scanner measures do not show its height, roll and pitch: measure these, and "
+    "state them in rig.yaml (height, roll, pitch, and uncertainty: tilt)"
 )
 # Sources of uncertainty, and the share of ranges in the most uncertain axis with which they are what to improve.
 _RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5

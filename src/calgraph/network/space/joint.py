@@ -195,8 +195,6 @@ def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_], sh
     )  # fmt: skip
 
 
-
-
 def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
     return np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
 

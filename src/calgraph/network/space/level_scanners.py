@@ -4,17 +4,22 @@ What a level scanner measures of people and walls does not change with its heigh
 only. Both stay as they are stated, or usual, unless it measures floors and other surfaces that are not upright.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from calgraph.config import Lidar2dSpec
 from calgraph.geometry import Array, se3, so3
 from calgraph.network.space.observations import BodyTrack, SpaceObservations, StaticPoints
 from calgraph.network.tracking.track import ScannerTracks, Track
+from calgraph.surfaces.sensor_states import SensorState
 
 # Height of a scanner that states none, m, and its standard deviation: from shins to heads.
 _USUAL_HEIGHT, _HEIGHT_STDDEV = 0.9, 0.5
-# Standard deviation of a stated height, m: of a tape measure, and of the floor between it and the root.
-_STATED_STDDEV = 0.05
+# Standard deviation of a stated height, m: of a tape measure, and of the floor that LiDARs measure within this
+# distance of it, m, at least at so many points.
+_STATED_STDDEV, _NEAR, _MIN_POINTS = 0.05, 2.5, 10
 # First guesses of a body's errors along and across the line of sight, m: legs that step, arms, and beams between.
 _RADIAL, _TANGENTIAL = 0.04, 0.03
 
@@ -46,6 +51,20 @@ def observe_scanner(tracked: ScannerTracks, spec: Lidar2dSpec, inverted: bool) -
         measured if tracked.coverage is None else tracked.coverage,
         flat=True,
     )
+
+
+def stand_on_floor(
+    state: SensorState, observed: SpaceObservations, lidars: Sequence[tuple[SensorState, SpaceObservations]]
+) -> tuple[SensorState, SpaceObservations]:
+    """The start of a scanner over the floor at its place, as LiDARs measure it; its height is unknown without."""
+    T = state.T_root_sensor.copy()
+    floor = np.concatenate([at.place(one.static.points[one.floor_points])[0] for at, one in lidars])
+    near = floor[np.hypot(*(floor - T[:3, 3])[:, :2].T) < _NEAR]
+    if len(near) < _MIN_POINTS:
+        roll, pitch, _ = observed.floor_stddev
+        return state, replace(observed, floor_stddev=np.array([roll, pitch, _HEIGHT_STDDEV]))
+    T[2, 3] += np.median(near[:, 2])
+    return replace(state, T_root_sensor=T), observed
 
 
 def _measure_bodies(track: Track) -> BodyTrack:

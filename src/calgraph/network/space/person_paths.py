@@ -34,15 +34,15 @@ from calgraph.network.space.persons import (
 from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState
 
 SHAPE = 6
-"""Numbers of a slice of a body: depth of the axis behind the front, m, its change with the aspect, between front and back,
-m, lean, and the change of the depth with height and with distance."""
+"""Numbers of a slice of a body: depth of the axis behind the front, m, its change with the aspect, between front
+and back, m, lean, and the change of the depth with height and with distance."""
 SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
 """(6,) the mean over persons: an ellipse of 0.25 by 0.45 m has a depth of 0.15 m, and 0.045 of it with the aspect,
 at its median beam."""
 SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
 """(6,) how well it is known before."""
 # By how much slices that 2-D scanners measure, of legs, hips or chests, are less known: depths are twice as
-# different. Their lean is that of this height over the middle of the upper body, m: what is below the hips does not.
+# different. Their lean is that of this height over the middle of the upper body, m: legs do not lean.
 _UNKNOWN_SLICE, _BELOW = np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]), -0.4
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
 _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
@@ -75,7 +75,7 @@ class BodyNoise:
 
 @dataclass(frozen=True, eq=False)
 class PersonEquations:
-    """What one person contributes to the normal equations of P = S F + 6B unknowns: states, then what all share."""
+    """What a person contributes to the normal equations of P = S F + 6B unknowns: states, then what all share."""
 
     information: Array
     """(P, P)."""
@@ -88,7 +88,7 @@ class PersonEquations:
     view_sensor: Index
     """(V,) and their sensors."""
     white: Array
-    """(2B, 2) expected sums of squared errors of samples over first guesses, and numbers; as :class:`BodyNoise`."""
+    """(2B, 2) expected sums of squared errors of samples over first guesses, and their numbers."""
     view: Array
     """(2B, 2) of the errors of views, m²."""
     residual: Array
@@ -230,7 +230,7 @@ def _arrange_rows(
     gather: csr_array,
     numbers: int,
 ) -> _Rows:
-    """Rows for places (N, 3), unit vectors of view (N, 2) and of walk (N, 2), 0 of who stands; 6B numbers of shape."""
+    """Rows for places (N, 3), unit vectors of view (N, 2), and of walk (N, 2), 0 of who stands."""
     N, (first, weights, controls) = len(places), basis
     direction = np.concatenate([outward, np.column_stack([-outward[:, 1], outward[:, 0]])])
     above = np.where(samples.band > 0, _BELOW, places[:, 2] - _MIDDLE)

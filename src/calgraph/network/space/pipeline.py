@@ -46,13 +46,15 @@ def check_space(rig: Rig, options: NetworkOptions) -> None:
     for name, spec in rig.sensors.items():
         _scanning_spec(name, spec)
     if not isinstance(rig.sensors[rig.root], Lidar3dSpec):
-        raise InputError(f"root: must be a 3-D LiDAR, which measures the floor, where there is one, got {rig.root}")
+        raise InputError(
+            f"root: must be a 3-D LiDAR, which measures the floor, where there is one, got {rig.root}"
+        )
     if isinstance(rig.target, Cylinder):
         raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
     if options.extend is not None:
         raise InputError(
-            "`extend`: is of networks of 2-D scanners alone as yet; give a recording of all sensors of the network, "
-            "without it"
+            "`extend`: is of networks of 2-D scanners alone as yet; give a recording of all sensors of the "
+            "network, without it"
         )
     estimator = options.select_method(rig.settings.published).estimator
     if estimator != "joint":

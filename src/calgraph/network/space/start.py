@@ -11,7 +11,7 @@ from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.body_tracks import to_scanner_tracks
-from calgraph.network.space.level_scanners import observe_scanner
+from calgraph.network.space.level_scanners import observe_scanner, stand_on_floor
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.parallel.progress import Progress
@@ -76,6 +76,10 @@ def start_in_space(
         for node, name in enumerate(start.names)
         if name in observed
     }
+    lidars = [(states[name], one) for name, one in observations.items() if name in states]
+    for name in scanners:
+        if name in states:
+            states[name], observed[name] = stand_on_floor(states[name], observed[name], lidars)
     return SpaceStart(observed, replace(corrected, tracked=complete), start, states)
 
 
