@@ -529,8 +529,9 @@ def test_view_biases_are_estimated_and_in_the_covariance() -> None:
 
 @pytest.mark.slow
 def test_errors_over_stated_ones_on_many_seeds() -> None:
-    scenes = [simulate(2, 20.0, 100 + seed) for seed in range(30)]
+    scenes = [simulate(2, 20.0, 100 + seed) for seed in range(15)]
     found = [scaled(scene, adjust_drive([scene.part], scene.start, priors(2))) for scene in scenes]
     assert 0.7 < np.mean([squared for _, squared in found]) < 1.4
-    z = np.array([one for one, _ in found])
-    assert np.all((np.sqrt(np.mean(z**2, axis=0)) > 0.6) & (np.sqrt(np.mean(z**2, axis=0)) < 1.5))
+    rms = np.sqrt(np.mean(np.array([one for one, _ in found]) ** 2, axis=0))
+    # Of 15 numbers of unit variance it is within 0.55 and 1.48 with 99 %.
+    assert np.all((rms > 0.55) & (rms < 1.48))
