@@ -9,6 +9,7 @@ import shutil
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pictures import BAD, BOARD, GOOD, IMAGES, INK, disc, line, shape, svg, text
 from PIL import Image as Picture
 from playwright.sync_api import sync_playwright
 
@@ -24,7 +25,6 @@ from calgraph.simulation import (
     build_world,
 )
 from ideal_detections import simulate_detections
-from pictures import BAD, BOARD, GOOD, IMAGES, INK, disc, line, shape, svg, text
 
 SCENARIO = RigScenario(
     camera=CameraOptions(count=2),
@@ -36,7 +36,14 @@ SCENARIO = RigScenario(
     samples=2,
 )
 SEED = 3
-COLORS = {"lidar": "#1f6fb2", "laser_front": "#8a4fae", "laser_left": "#b5477d", "camera": "#0c8a7b", "camera_2": "#5b8c1a"}
+COLORS = {
+    "lidar": "#1f6fb2",
+    "laser_front": "#8a4fae",
+    "laser_left": "#b5477d",
+    "camera": "#0c8a7b",
+    "camera_2": "#5b8c1a",
+}
+"""By sensor, in the order of the table."""
 GRADES = {"good": GOOD, "weak": BOARD, "unobservable": BAD}
 WIDTH, HEIGHT = 880, 430
 PANEL = 560
@@ -138,7 +145,7 @@ def robot() -> list[str]:
     return [*body, *wheels, *mast]
 
 
-def board(T_root_board: Array, opacity: float, face: bool = True) -> list[str]:
+def board(T_root_board: Array, face: bool = True) -> list[str]:
     """The board with its three tags; only its outline where it was before."""
     target = SCENARIO.board
 
@@ -148,7 +155,7 @@ def board(T_root_board: Array, opacity: float, face: bool = True) -> list[str]:
 
     outline = corners(*target.size)
     if not face:
-        return [polygon(outline, BOARD, f'fill-opacity="{opacity * 0.12:.2f}" stroke="{BOARD}" stroke-opacity="{opacity:.2f}"')]
+        return [polygon(outline, BOARD, f'fill-opacity="0.07" stroke="{BOARD}" stroke-opacity="0.55"')]
     tags = [polygon(corners(tag.size, tag.size, tag.center), "#222") for tag in target.tags]
     return [polygon(outline, "#fff", f'stroke="{BOARD}" stroke-width="3"'), *tags]
 
@@ -159,7 +166,8 @@ def operator(T_root_board: Array) -> list[str]:
     feet, neck, head = project(np.array([[*behind, GROUND], [*behind, 0.55], [*behind, 0.78]]))
     scale = float(feet[1] - neck[1])
     return [
-        f'<ellipse cx="{feet[0]:.1f}" cy="{feet[1]:.1f}" rx="{0.2 * scale:.1f}" ry="{0.09 * scale:.1f}" fill="#e8e8e8"/>',
+        f'<ellipse cx="{feet[0]:.1f}" cy="{feet[1]:.1f}" rx="{0.2 * scale:.1f}" ry="{0.09 * scale:.1f}" '
+        'fill="#e8e8e8"/>',
         line([(feet[0], feet[1]), (neck[0], neck[1])], "#c9c4bb", 0.22 * scale, 'stroke-linecap="round"'),
         disc(float(head[0]), float(head[1]), 0.1 * scale, "#b3ada3"),
     ]
@@ -175,9 +183,8 @@ def sensor(T_root_sensor: Array, name: str) -> list[str]:
         sides = [polyline(np.stack([origin, corner]), color, 2) for corner in rim]
         return [polygon(rim, color, 'fill-opacity="0.35"'), polyline(np.vstack([rim, rim[:1]]), color, 2), *sides]
     a = np.linspace(0, 2 * np.pi, 40)
-    rings = [
-        se3.apply(at, np.stack([0.09 * np.cos(a), 0.09 * np.sin(a), np.full(40, z)], axis=1)) for z in (-0.05, 0.05)
-    ]
+    x, y = 0.09 * np.cos(a), 0.09 * np.sin(a)
+    rings = [se3.apply(at, np.stack([x, y, np.full(40, z)], axis=1)) for z in (-0.05, 0.05)]
     ahead = se3.apply(at, np.array([[0, 0, 0.05], [0.2, 0, 0.05]]))
     return [polygon(rings[0], color), polygon(rings[1], color, 'stroke="#fff"'), polyline(ahead, color, 3)]
 
@@ -226,20 +233,22 @@ def row(k: int, name: str, stage: Stage) -> list[str]:
     ]
 
 
-def frame(captured: CaptureSet, boards: list[Array], stage: Stage, T_root_board: Array | None, held: int | None) -> str:
+def frame(
+    captured: CaptureSet, boards: list[Array], stage: Stage, T_root_board: Array | None, held: int | None
+) -> str:
     """One picture: the scene and the table."""
-    total, names = len(boards), ["lidar", "laser_front", "laser_left", "camera", "camera_2"]
-    done = sum(grade == "good" for grade in stage.grade.values()) == len(names) - 1
+    total, done = len(boards), sum(grade == "good" for grade in stage.grade.values()) == len(COLORS) - 1
     headline = (
         "A board is carried around the robot" if len(stage.grade) == 1
         else "Poses appear, with standard deviations" if not done
         else "All poses good: within 10 mm and 0.3° (95 %)"
     )  # fmt: skip
     parts = [f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#fff"/>', *floor()]
-    behind = sorted(range(stage.captures if held is None else held), key=lambda k: -np.linalg.norm(boards[k][:3, 3] - EYE))
-    parts += [part for k in behind for part in board(boards[k], 0.55, face=False)]
+    earlier = range(stage.captures if held is None else held)
+    behind = sorted(earlier, key=lambda k: -float(np.linalg.norm(boards[k][:3, 3] - EYE)))
+    parts += [part for k in behind for part in board(boards[k], face=False)]
     if T_root_board is not None:
-        parts += [*operator(T_root_board), *board(T_root_board, 1.0)]
+        parts += [*operator(T_root_board), *board(T_root_board)]
     if held is not None:
         parts += measured(captured, stage, held)
     parts += robot()
@@ -249,12 +258,13 @@ def frame(captured: CaptureSet, boards: list[Array], stage: Stage, T_root_board:
         parts += sensor(T_root_sensor, name)
     parts.append(f'<rect x="{PANEL - 18}" width="{WIDTH - PANEL + 18}" height="{HEIGHT}" fill="#f6f7f8"/>')
     parts.append(f'<text x="20" y="34" font-size="19" font-weight="bold">{headline}</text>')
-    parts += [text(PANEL + 190, 76, "σ of position", "#777", "end"), text(WIDTH - 24, 76, "verdict", "#777", "end")]
-    parts += [part for k, name in enumerate(names) for part in row(k, name, stage)]
-    length, share = WIDTH - PANEL - 26, stage.captures / total
+    parts.append(text(PANEL + 190, 76, "σ of position", "#777", "end"))
+    parts.append(text(WIDTH - 24, 76, "verdict", "#777", "end"))
+    parts += [part for k, name in enumerate(COLORS) for part in row(k, name, stage)]
+    length, share, color = WIDTH - PANEL - 26, stage.captures / total, GOOD if done else BOARD
     parts += [
         f'<rect x="{PANEL}" y="362" width="{length}" height="8" rx="4" fill="#ddd"/>',
-        f'<rect x="{PANEL}" y="362" width="{length * share:.0f}" height="8" rx="4" fill="{GOOD if done else BOARD}"/>',
+        f'<rect x="{PANEL}" y="362" width="{length * share:.0f}" height="8" rx="4" fill="{color}"/>',
         text(PANEL, 394, f"capture {stage.captures} of {total}", INK, "start"),
         text(20, HEIGHT - 16, f"simulated rig; ellipses: σ × {ENLARGED}", "#999", "start"),
     ]
@@ -311,8 +321,6 @@ def main() -> None:
     rig, captured, truth = simulate_detections(build_world(SCENARIO, SEED), SEED)
     boards = [one.T_root_board for one in truth.boards]
     stages = [calibrate_first(rig, captured, count) for count in range(1, len(boards) + 1)]
-    for stage in stages:
-        print(stage.captures, stage.grade)
     render(draw_frames(captured, boards, stages))
 
 

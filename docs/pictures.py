@@ -183,10 +183,12 @@ def concepts() -> str:
     """The six steps of a calibration."""
     parts, nodes = [], ((45, 80), (165, 70), (110, 130))
 
-    x, y, drawn = _panel(0, "Recording", "messages; three rests of the board")
+    x, y, drawn = _panel(0, "Recording", "messages; the board rests")
     parts += drawn
     for first in (40, 95, 150):
-        parts.append(f'<rect x="{x + first}" y="{y + 44}" width="32" height="94" fill="{BOARD}" fill-opacity="0.25"/>')
+        left, right = x + first, x + first + 32
+        rest = [(left, y + 44), (right, y + 44), (right, y + 138), (left, y + 138)]
+        parts.append(shape(rest, BOARD, 'fill-opacity="0.25"'))
     for k, (color, period) in enumerate(zip(SENSORS, (9, 5, 14), strict=True)):
         parts += [disc(x + 16 + at, y + 60 + 31 * k, 2.2, color) for at in range(0, 182, period)]
 
@@ -197,7 +199,8 @@ def concepts() -> str:
         cloud = [(left + 5 + 9 * i, top + 5 + 6 * j) for i in range(5) for j in range(4) if (i + j + column) % 5]
         parts += [disc(*at, 1.8, SENSORS[0]) for at in cloud]
         if column != 1:
-            parts.append(line([(left + 2, top + 46 - 3 * column), (left + 44, top + 40 + 3 * column)], SENSORS[1], 3))
+            ends = (left + 2, top + 46 - 3 * column), (left + 44, top + 40 + 3 * column)
+            parts.append(line(ends, SENSORS[1], 3))
         corners = [(left + 6, top + 64), (left + 40, top + 60), (left + 42, top + 84), (left + 8, top + 88)]
         parts += [line([*corners, corners[0]], SENSORS[2], 1), *(disc(*at, 2.6, SENSORS[2]) for at in corners)]
 
@@ -221,8 +224,9 @@ def concepts() -> str:
     boards = ((60, 50, 14), (110, 44, -6), (165, 56, -16))
     places = ((55, 128), (112, 136), (160, 124))
     for k, (u, v, turn) in enumerate(boards):
-        measuring = [(*at, color) for at, color in zip(places, SENSORS, strict=True) if (k, color) != (1, SENSORS[1])]
-        parts += [line([(x + u, y + v), (x + a, y + b)], color, 1) for a, b, color in measuring]
+        for (a, b), color in zip(places, SENSORS, strict=True):
+            if k != 1 or color != SENSORS[1]:
+                parts.append(line([(x + u, y + v), (x + a, y + b)], color, 1))
         parts.append(line([(x + u - 20, y + v - turn / 2), (x + u + 20, y + v + turn / 2)], BOARD, 6))
     parts += [disc(x + a, y + b, 8, color) for (a, b), color in zip(places, SENSORS, strict=True)]
 
@@ -231,30 +235,32 @@ def concepts() -> str:
     for (u, v), (wide, high), color in zip(nodes[1:], ((16, 13), (34, 14)), SENSORS[1:], strict=True):
         parts.append(line([(x + 45, y + 80), (x + u, y + v)], INK, 2))
         parts.append(
-            f'<ellipse cx="{x + u}" cy="{y + v}" rx="{wide}" ry="{high}" fill="{color}" fill-opacity="0.25" stroke="{color}"/>'
+            f'<ellipse cx="{x + u}" cy="{y + v}" rx="{wide}" ry="{high}" fill="{color}" fill-opacity="0.25" '
+            f'stroke="{color}"/>'
         )
     parts += [disc(x + u, y + v, 6, color) for (u, v), color in zip(nodes, SENSORS, strict=True)]
     parts += [text(x + 165, y + 52, "good", GOOD), text(x + 170, y + 136, "weak", BOARD)]
     return svg(680, 382, parts)
 
 
-BADGES = (("Python", "3.11 to 3.14"), ("tested on", "Linux"), ("ROS", "not needed"), ("licence", "Apache-2.0"))
+BADGES = {"Python": "3.11 to 3.14", "tested on": "Linux", "ROS": "not needed", "licence": "Apache-2.0"}
+"""What a reader of the README wants to know first."""
 
 
-def badges() -> str:
-    """What a reader wants to know first; tests compare it with pyproject.toml."""
-    parts, x = [], 0.0
-    for name, value in BADGES:
-        wide, more = 6.5 * len(name) + 20, 7.0 * len(value) + 14
-        parts += [
-            f'<rect x="{x:g}" width="{wide + more:g}" height="22" rx="4" fill="#2a6f97"/>',
-            f'<rect x="{x:g}" width="{wide + 4:g}" height="22" rx="4" fill="#555"/>',
-            f'<rect x="{x + wide:g}" width="6" height="22" fill="#2a6f97"/>',
-            text(x + wide / 2, 15.5, name, "#fff"),
-            text(x + wide + more / 2, 15.5, value, "#fff"),
-        ]
-        x += wide + more + 6
-    return svg(x - 6, 22, parts)
+def badge(name: str, value: str) -> str:
+    """A word and what is true of it."""
+    wide, more = 6.5 * len(name) + 20, 7.0 * len(value) + 14
+    return svg(
+        wide + more,
+        22,
+        [
+            f'<rect width="{wide + more:g}" height="22" rx="4" fill="#2a6f97"/>',
+            f'<rect width="{wide + 4:g}" height="22" rx="4" fill="#555"/>',
+            f'<rect x="{wide:g}" width="6" height="22" fill="#2a6f97"/>',
+            text(wide / 2, 15.5, name, "#fff"),
+            text(wide + more / 2, 15.5, value, "#fff"),
+        ],
+    )
 
 
 TILTS = (2, 5, 10, 20, 30, 40)
@@ -315,8 +321,9 @@ def tilt_chart() -> str:
 
 def main() -> None:
     """Writes all pictures."""
-    for draw in (badges, concepts):
-        (IMAGES / f"{draw.__name__}.svg").write_text(draw(), encoding="utf-8")
+    for name, value in BADGES.items():
+        (IMAGES / f"badge_{name.lower().replace(' ', '_')}.svg").write_text(badge(name, value), encoding="utf-8")
+    (IMAGES / "concepts.svg").write_text(concepts(), encoding="utf-8")
     for draw in (places, tilts, holding, walks, drives, tilt_chart):
         (IMAGES / f"recording_{draw.__name__}.svg").write_text(draw(), encoding="utf-8")
 
