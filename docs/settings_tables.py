@@ -1,7 +1,7 @@
-"""Writes the tables of the page on settings, from the settings classes: `python docs/settings_tables.py`."""
+"""The tables of the page on settings, from the settings classes: `python docs/settings_tables.py` prints them."""
 
+import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import annotated_types as limits
@@ -14,37 +14,25 @@ from calgraph.io.field_docs import describe_field
 _SIGNS = {limits.Gt: ">", limits.Ge: "≥", limits.Lt: "<", limits.Le: "≤"}
 
 
-PAGE = Path(__file__).parent / "settings.md"
-_MARK = "<!-- The rest is written by docs/settings_tables.py. -->"
+def settings_tables(model: type[BaseModel] = Settings) -> str:
+    """A heading for each stage, and a row for each of its settings, as Markdown."""
+    return "\n\n".join(
+        "\n".join([f"## {stage}", "", "| key | default | limits | meaning |", "| --- | --- | --- | --- |", *rows])
+        for stage, field in model.model_fields.items()
+        if (rows := list(_rows(field.annotation, "")))
+    )
 
 
-def settings_page(text: str) -> str:
-    """The text of the page with the tables of today."""
-    return f"{text.partition(_MARK)[0]}{_MARK}\n\n{settings_tables()}\n"
+def _rows(model: Any, key: str) -> Iterator[str]:
+    """Rows of the settings of a class and of the classes within it, whose keys begin so."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from _rows(field.annotation, f"{key}{name}.")
+        else:
+            yield _row(model, key, name, field)
 
 
-def settings_tables(model: type[BaseModel] = Settings, key: str = "") -> str:
-    """A heading for each class with settings, and a row for each setting, as Markdown."""
-    return "\n\n".join(_sections(model, key))
-
-
-def _sections(model: type[BaseModel], key: str) -> Iterator[str]:
-    groups = {name: field.annotation for name, field in model.model_fields.items() if _is_model(field.annotation)}
-    rows = [_row(model, name, field) for name, field in model.model_fields.items() if name not in groups]
-    summary = " ".join((model.__doc__ or "").split())
-    if rows:
-        table = "\n".join(["| key | default | limits | meaning |", "| --- | --- | --- | --- |", *rows])
-        yield f"## {key}\n\n{summary}\n\n{table}"
-    for name, group in groups.items():
-        assert group is not None
-        yield from _sections(group, f"{key}.{name}".lstrip("."))
-
-
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
+def _row(model: type[BaseModel], key: str, name: str, field: FieldInfo) -> str:
     # The base class of limits comes with their values in fields named like the sign: gt, ge, lt, le.
     bounds = [
         f"{sign} {getattr(bound, kind.__name__.lower()):g}"
@@ -52,8 +40,10 @@ def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
         for kind, sign in _SIGNS.items()
         if isinstance(bound, kind)
     ]
-    meaning = " ".join(describe_field(model, name).split()).replace("``", "`").replace("|", "\\|")
-    return f"| `{name}` | {_format(field.default)} | {', '.join(bounds)} | {meaning} |"
+    # What follows a colon is the reason for the default, which is in the code.
+    meaning = " ".join(describe_field(model, name).split()).partition(": ")[0].rstrip(".")
+    meaning = meaning.replace("``", "`").replace("|", "\\|")
+    return f"| `{key}{name}` | {_format(field.default)} | {', '.join(bounds)} | {meaning} |"
 
 
 def _format(value: Any) -> str:
@@ -63,4 +53,4 @@ def _format(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(settings_page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    sys.stdout.write(f"{settings_tables()}\n")

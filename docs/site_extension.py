@@ -1,4 +1,4 @@
-"""Extensions of Sphinx: formulas without scripts, readable signatures, figures in the gallery.
+"""Extensions of Sphinx: formulas without scripts, readable signatures, figures, lists of the source.
 
 Formulas become MathML while the site is built, and plotly's script is part of the site: pages work offline.
 """
@@ -10,7 +10,9 @@ from typing import Any
 import plotly.graph_objects as go
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from message_list import message_list
 from plotly.offline import get_plotlyjs
+from settings_tables import settings_tables
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
@@ -18,6 +20,8 @@ _SCRIPT = "plotly.min.js"
 _SHOWN = "figure"
 """Examples show what they drew by ending a block in this name."""
 _FIELDS = ("attribute", "data", "property")
+_READ_FROM_SOURCE = {"messages": message_list, "settings": settings_tables}
+"""What pages end with, as Markdown."""
 _COLON = "\ue000"
 """Stands for a colon, from the range of characters that mean nothing."""
 
@@ -28,6 +32,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-signature", _fields_say_it)
     app.connect("autodoc-process-docstring", _colons_hidden, priority=400)
     app.connect("autodoc-process-docstring", _colons_back, priority=600)
+    app.connect("source-read", _add_tables)
     app.connect("build-finished", _write_script)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -59,6 +64,11 @@ def _colons_hidden(_app: Sphinx, what: str, _name: str, _of: Any, _options: Any,
 def _colons_back(_app: Sphinx, what: str, _name: str, _of: Any, _options: Any, lines: list[str]) -> None:
     if what in _FIELDS:
         lines[:] = [line.replace(_COLON, ":") for line in lines]
+
+
+def _add_tables(_app: Sphinx, page: str, source: list[str]) -> None:
+    if page in _READ_FROM_SOURCE:
+        source[0] += f"\n{_READ_FROM_SOURCE[page]()}\n"
 
 
 def _write_script(app: Sphinx, error: Exception | None) -> None:

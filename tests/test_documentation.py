@@ -7,6 +7,17 @@ from pathlib import Path
 from typing import Any, get_args
 
 import typer
+from docs.message_list import (
+    HEADINGS,
+    SOURCE,
+    list_messages,
+    list_modules,
+    match_message,
+    message_list,
+    read_causes,
+    read_messages,
+    read_texts,
+)
 from pydantic import BaseModel
 from typer.core import TyperGroup
 from typer.main import get_command
@@ -18,7 +29,6 @@ from calgraph.config.fleet_config import FleetConfig
 from calgraph.config.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "src" / "calgraph"
 BUILT = {"_build", "gallery", "generated"}
 PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
@@ -26,7 +36,6 @@ PAGES = {
     if not BUILT & set(path.relative_to(ROOT).parts)
 }
 FORMATS = PAGES["docs/formats.md"]
-TROUBLESHOOTING = PAGES["docs/troubleshooting.md"]
 
 # Keys
 
@@ -154,109 +163,43 @@ def test_no_command_hides_in_an_indented_block() -> None:
 
 # Messages
 
-GIVES_MESSAGES = {
-    "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "invalid",
-    "Finding", "InconsistentTags",
-}  # fmt: skip
-ELSEWHERE = {
-    "rig/bundle/problem.py": "Files that calgraph wrote",
-    "rig/bundle/problem_file.py": "Files that calgraph wrote",
-    "result/calibration_reading.py": "Files that calgraph wrote",
-    "result/scene.py": "Files that calgraph wrote",
-    "result/pictures.py": "Files that calgraph wrote",
-    "io/archive.py": "Files that calgraph wrote",
-    "io/columns.py": "Files that calgraph wrote",
-    "rig/captures/detection_tables.py": "Files that calgraph wrote",
-    "rig/captures/from_detections.py": "In a program",
-    "rig/detection/from_measurements.py": "In a program",
-    "recording/in_memory.py": "In a program",
-    "recording/writer.py": "In a program",
-}
-"""Modules whose messages the page explains together, below a heading."""
-NOT_MET = ("simulation", "viewer")
-"""Rooms whose messages are about options alone, which they repeat."""
-NO_MESSAGE = {"good", "weak", "unobservable", "Files that calgraph wrote"}
-FEWEST_LETTERS = 8
-
-
-def texts_of(node: ast.expr) -> list[str]:
-    """The alternatives of what an expression says, with … in place of values; none of what is no text."""
-    match node:
-        case ast.Constant(value=str(words)):
-            return [re.sub(r"%[\d.]*[sdfg]", "…", words)]
-        case ast.JoinedStr(values=parts):
-            return ["".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in parts)]
-        case ast.BinOp(left=left, op=ast.Add(), right=right):
-            return [a + b for a in texts_of(left) or ["…"] for b in texts_of(right) or ["…"]]
-        case ast.IfExp(body=one, orelse=other):
-            return texts_of(one) + texts_of(other)
-    return []
-
-
-def messages(path: Path) -> Iterator[str]:
-    """What the calls that raise, reject or warn in a file say."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call):
-            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if called in GIVES_MESSAGES:
-                # The first argument of invalid is a key of rig.yaml.
-                yield from (words for given in node.args[called == "invalid" :] for words in texts_of(given))
-
-
-def files() -> list[Path]:
-    return [path for path in sorted(SOURCE.rglob("*.py")) if path.relative_to(SOURCE).parts[0] not in NOT_MET]
-
-
-def listed() -> list[str]:
-    """The messages in the first column of the page's tables."""
-    rows = re.findall(r"^\| (`.*?) \|", TROUBLESHOOTING, re.MULTILINE)
-    return [message for row in rows for message in re.findall(r"`([^`]+)`", row)]
+NO_MESSAGE = {"good", "weak", "unobservable"}
+RAISED = re.compile(r'(?:Input|Calibration|Recording)Error\(\s*f?"([^"{]{12,})|Rejected\(\s*f?"([^"{]{12,})')
+"""The first words of a message, found without the syntax tree by which the list is made."""
 
 
 def source_text() -> str:
     """All texts in the source, one a line, and the scripts of the page of live capture."""
-    nodes = (node for path in files() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-    texts = (words for node in nodes if isinstance(node, ast.expr) for words in texts_of(node))
+    nodes = (node for path in list_modules() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    texts = (words for node in nodes if isinstance(node, ast.expr) for words in read_texts(node))
     return "\n".join([*texts, *(path.read_text(encoding="utf-8") for path in SOURCE.glob("live/*.js"))])
 
 
-def pattern(message: str) -> str:
-    """Matches the message in a text of the source: with braces around names, and parameters for options."""
-    text = r"(?:…|\{\w*\})".join(re.escape(part) for part in message.split("…"))
-    return re.sub(r"\\-\\-([a-z]+)", r"(?:--\1|`\1`)", text)
-
-
-def explained() -> re.Pattern[str]:
-    """Matches the messages that the page has, in its tables or in its part on programs."""
-    prose = re.findall(r"`([^`]+)`", TROUBLESHOOTING[TROUBLESHOOTING.index("## In a program") :])
-    return re.compile("|".join(map(pattern, [*listed(), *(words for words in prose if " " in words)])))
-
-
-def test_every_listed_message_exists() -> None:
+def test_every_explained_message_exists() -> None:
     texts = source_text()
-    gone = [one for one in listed() if one not in NO_MESSAGE and not re.search(pattern(one), texts)]
+    explained = [message for message, _ in read_causes() if message not in NO_MESSAGE]
+    assert len(explained) > 100
+    gone = [message for message in explained if not re.search(match_message(message), texts)]
     assert gone == [], "docs/troubleshooting.md has messages that the source has no more"
 
 
-def test_every_message_is_explained() -> None:
-    known = explained()
-    missing = [
-        f"{path.relative_to(SOURCE).as_posix()}: {message}"
-        for path in files()
-        if path.relative_to(SOURCE).as_posix() not in ELSEWHERE
-        for message in messages(path)
-        if sum(map(str.isalpha, message)) >= FEWEST_LETTERS and not known.search(message)
-    ]
-    assert missing == [], "docs/troubleshooting.md has no such rows"
+def test_the_list_has_every_message() -> None:
+    page = message_list()
+    begun = {a or b for path in list_modules() for a, b in RAISED.findall(path.read_text(encoding="utf-8"))}
+    assert len(begun) > 150
+    assert [words for words in begun if words.replace("\\n", " ").strip() not in page] == []
 
 
-def test_modules_that_are_explained_together_have_their_heading() -> None:
-    assert [file for file in ELSEWHERE if not (SOURCE / file).exists()] == []
-    assert [heading for heading in set(ELSEWHERE.values()) if f"## {heading}" not in TROUBLESHOOTING] == []
+def test_every_package_with_messages_has_a_heading() -> None:
+    assert sorted(list_messages()) == sorted(HEADINGS)
 
 
-def test_a_message_without_a_row_is_found(tmp_path: Path) -> None:
+def test_a_listed_message_has_its_cause() -> None:
+    (row,) = [line for line in message_list().splitlines() if "two poses …° apart" in line]
+    assert row.endswith("— nearer, or larger tags")
+
+
+def test_alternatives_of_a_message_are_listed(tmp_path: Path) -> None:
     module = tmp_path / "module.py"
     module.write_text('raise InputError(f"{path}: the moon is " + ("full" if full else "new"))', encoding="utf-8")
-    assert list(messages(module)) == ["…: the moon is full", "…: the moon is new"]
-    assert not any(explained().search(message) for message in messages(module))
+    assert read_messages(module) == ["…: the moon is full", "…: the moon is new"]

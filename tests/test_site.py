@@ -20,7 +20,9 @@ PAGES = (
     "quickstart",
     "recording",
     "troubleshooting",
+    "messages",
     "method",
+    "method/rig",
     "comparison",
     "library",
     "api",
@@ -70,7 +72,7 @@ def test_example_shows_what_it_printed(example: str, site: Path) -> None:
 
 
 def test_formulas_need_no_script(site: Path) -> None:
-    method = (site / "method.html").read_text(encoding="utf-8")
+    method = (site / "method/rig.html").read_text(encoding="utf-8")
     assert method.count("<math") >= 8
     assert not re.search("<script[^>]*mathjax", method, re.IGNORECASE)
 
