@@ -1,4 +1,4 @@
-"""Draws the pictures of recording.md into docs/images: `PYTHONPATH=benchmarks python docs/pictures.py`.
+"""Draws pictures of the README, concepts.md and recording.md: `PYTHONPATH=benchmarks python docs/pictures.py`.
 
 Sketches are drawn, and the chart is measured on simulated detections, which takes two minutes.
 """
@@ -167,6 +167,102 @@ def drives() -> str:
     return svg(680, 290, parts)
 
 
+SENSORS = ("#1f6fb2", "#8a4fae", "#0c8a7b")
+"""Colours of a LiDAR, a 2-D scanner and a camera."""
+
+
+def _panel(k: int, title: str, words: str) -> tuple[float, float, list[str]]:
+    """Frame and words of a step of :func:`concepts`, with its upper left corner."""
+    x, y = 10 + 224 * (k % 3), 8 + 186 * (k // 3)
+    frame = f'<rect x="{x}" y="{y}" width="212" height="176" rx="8" fill="#f6f7f8"/>'
+    heading = f'<text x="{x + 12}" y="{y + 24}" font-size="15" font-weight="bold">{k + 1}  {title}</text>'
+    return x, y, [frame, heading, text(x + 12, y + 164, words, "#666", "start")]
+
+
+def concepts() -> str:
+    """The six steps of a calibration."""
+    parts, nodes = [], ((45, 80), (165, 70), (110, 130))
+
+    x, y, drawn = _panel(0, "Recording", "messages; the board rests")
+    parts += drawn
+    for first in (40, 95, 150):
+        left, right = x + first, x + first + 32
+        rest = [(left, y + 44), (right, y + 44), (right, y + 138), (left, y + 138)]
+        parts.append(shape(rest, BOARD, 'fill-opacity="0.25"'))
+    for k, (color, period) in enumerate(zip(SENSORS, (9, 5, 14), strict=True)):
+        parts += [disc(x + 16 + at, y + 60 + 31 * k, 2.2, color) for at in range(0, 182, period)]
+
+    x, y, drawn = _panel(1, "Detections", "the board, by sensor and capture")
+    parts += drawn
+    for column in range(3):
+        left, top = x + 22 + 60 * column, y + 48
+        cloud = [(left + 5 + 9 * i, top + 5 + 6 * j) for i in range(5) for j in range(4) if (i + j + column) % 5]
+        parts += [disc(*at, 1.8, SENSORS[0]) for at in cloud]
+        if column != 1:
+            ends = (left + 2, top + 46 - 3 * column), (left + 44, top + 40 + 3 * column)
+            parts.append(line(ends, SENSORS[1], 3))
+        corners = [(left + 6, top + 64), (left + 40, top + 60), (left + 42, top + 84), (left + 8, top + 88)]
+        parts += [line([*corners, corners[0]], SENSORS[2], 1), *(disc(*at, 2.6, SENSORS[2]) for at in corners)]
+
+    x, y, drawn = _panel(2, "Pairs", "relative poses, by RANSAC")
+    parts += drawn
+    for (a, b), shared in zip(((0, 1), (1, 2), (0, 2)), ("2", "2", "3"), strict=True):
+        (x1, y1), (x2, y2) = nodes[a], nodes[b]
+        parts.append(line([(x + x1, y + y1), (x + x2, y + y2)], PALE, 3, 'stroke-dasharray="5 4"'))
+        parts.append(text(x + (x1 + x2) / 2, y + (y1 + y2) / 2 - 6, shared))
+    parts += [disc(x + u, y + v, 10, color) for (u, v), color in zip(nodes, SENSORS, strict=True)]
+
+    x, y, drawn = _panel(3, "Graph", "start poses along a tree")
+    parts += drawn
+    for a, b in ((0, 1), (0, 2)):
+        parts.append(line([(x + nodes[a][0], y + nodes[a][1]), (x + nodes[b][0], y + nodes[b][1])], INK, 3))
+    parts += [disc(x + u, y + v, 10, color) for (u, v), color in zip(nodes, SENSORS, strict=True)]
+    parts.append(text(x + 45, y + 62, "root", "#666"))
+
+    x, y, drawn = _panel(4, "Joint solution", "all measurements, by their noise")
+    parts += drawn
+    boards = ((60, 50, 14), (110, 44, -6), (165, 56, -16))
+    places = ((55, 128), (112, 136), (160, 124))
+    for k, (u, v, turn) in enumerate(boards):
+        for (a, b), color in zip(places, SENSORS, strict=True):
+            if k != 1 or color != SENSORS[1]:
+                parts.append(line([(x + u, y + v), (x + a, y + b)], color, 1))
+        parts.append(line([(x + u - 20, y + v - turn / 2), (x + u + 20, y + v + turn / 2)], BOARD, 6))
+    parts += [disc(x + a, y + b, 8, color) for (a, b), color in zip(places, SENSORS, strict=True)]
+
+    x, y, drawn = _panel(5, "Result", "poses, covariances, verdicts")
+    parts += drawn
+    for (u, v), (wide, high), color in zip(nodes[1:], ((16, 13), (34, 14)), SENSORS[1:], strict=True):
+        parts.append(line([(x + 45, y + 80), (x + u, y + v)], INK, 2))
+        parts.append(
+            f'<ellipse cx="{x + u}" cy="{y + v}" rx="{wide}" ry="{high}" fill="{color}" fill-opacity="0.25" '
+            f'stroke="{color}"/>'
+        )
+    parts += [disc(x + u, y + v, 6, color) for (u, v), color in zip(nodes, SENSORS, strict=True)]
+    parts += [text(x + 165, y + 52, "good", GOOD), text(x + 170, y + 136, "weak", BOARD)]
+    return svg(680, 382, parts)
+
+
+BADGES = {"Python": "3.11 to 3.14", "tested on": "Linux", "ROS": "not needed", "licence": "Apache-2.0"}
+"""What a reader of the README wants to know first."""
+
+
+def badge(name: str, value: str) -> str:
+    """A word and what is true of it."""
+    wide, more = 6.5 * len(name) + 20, 7.0 * len(value) + 14
+    return svg(
+        wide + more,
+        22,
+        [
+            f'<rect width="{wide + more:g}" height="22" rx="4" fill="#2a6f97"/>',
+            f'<rect width="{wide + 4:g}" height="22" rx="4" fill="#555"/>',
+            f'<rect x="{wide:g}" width="6" height="22" fill="#2a6f97"/>',
+            text(wide / 2, 15.5, name, "#fff"),
+            text(wide + more / 2, 15.5, value, "#fff"),
+        ],
+    )
+
+
 TILTS = (2, 5, 10, 20, 30, 40)
 COUNTS = {9: "#b3362b", 18: "#c98a1b", 36: "#2a7f3f"}
 SEEDS = range(3)
@@ -223,6 +319,14 @@ def tilt_chart() -> str:
     return svg(680, 325, parts)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Writes all pictures."""
+    for name, value in BADGES.items():
+        (IMAGES / f"badge_{name.lower().replace(' ', '_')}.svg").write_text(badge(name, value), encoding="utf-8")
+    (IMAGES / "concepts.svg").write_text(concepts(), encoding="utf-8")
     for draw in (places, tilts, holding, walks, drives, tilt_chart):
         (IMAGES / f"recording_{draw.__name__}.svg").write_text(draw(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -128,6 +128,13 @@ def test_rig_yaml_of_the_readme_is_read(tmp_path: Path) -> None:
     assert list(load_rig(tmp_path / "rig.yaml").sensors) == ["lidar", "laser", "camera"]
 
 
+def test_badges_of_the_readme_state_what_the_package_does() -> None:
+    shown = {badge.stem: badge.read_text(encoding="utf-8") for badge in ROOT.glob("docs/images/badge_*.svg")}
+    pythons = re.findall(r"Python :: (3\.\d+)", "\n".join(project()["classifiers"]))
+    assert f">{pythons[0]} to {pythons[-1]}<" in shown["badge_python"]
+    assert f">{project()['license']}<" in shown["badge_licence"]
+
+
 def test_requirements_are_pinned_to_versions_they_allow() -> None:
     pinned_in = {file: pins(file) for file in PINNED}
     stated = [

@@ -18,7 +18,14 @@ import calgraph
 
 rig = calgraph.Rig(
     root="lidar",
-    target=calgraph.Board(size=(1.0, 0.8), tags=(calgraph.Tag(id=0, size=0.5),)),
+    target=calgraph.Board(
+        size=(1.0, 0.8),
+        tags=(
+            calgraph.Tag(id=0, size=0.3, center=(-0.3, 0.2)),
+            calgraph.Tag(id=1, size=0.3, center=(0.3, 0.2)),
+            calgraph.Tag(id=2, size=0.3, center=(0.0, -0.2)),
+        ),
+    ),
     sensors={
         "lidar": calgraph.Lidar3dSpec(topic="lidar", noise=calgraph.RangeNoise(range=0.02)),
         "laser": calgraph.Lidar2dSpec(topic="laser", noise=calgraph.RangeNoise(range=0.01)),
@@ -34,7 +41,8 @@ rig = calgraph.Rig(
 # Simulated detections
 # --------------------
 # A board at some pose, and the measurements of each sensor. With real data, the arrays are the same:
-# corners in the board's frame with their pixels, and points in the sensor's frame.
+# corners in the board's frame with their pixels, and points in the sensor's frame. Leave out points nearer to the
+# outline than three times the noise: which of them remain depends on their errors, and turns the plane.
 from calgraph import se3, so3
 
 rng = np.random.default_rng(1)
@@ -44,7 +52,8 @@ TRUE = {
     "camera": se3.from_xyz_quaternion(np.array([0.4, 0.1, -0.1]), np.array([-0.5, 0.49, -0.5, 0.51])),
 }
 camera = rig.camera_models()["camera"]
-corners = np.array([[x, y, 0.0] for x in (-0.25, 0.25) for y in (-0.25, 0.25)])
+tags = np.array([tag.center for tag in rig.target.tags])
+corners = np.array([[x + u, y + v, 0.0] for x, y in tags for u in (-0.15, 0.15) for v in (-0.15, 0.15)])
 
 
 # The board's x, y and z axes in the LiDAR's frame when it faces the robot: right is -y, up is z, out is -x.
@@ -59,11 +68,12 @@ def board_poses(count):
 
 
 def beams_on_board(T_sensor_board, directions, sigma):
-    """Where beams end on the board, with noise along them; those that miss it are left out."""
+    """Where beams end on the board, with noise along them; those off it, or on its outline, are left out."""
     n, d = np.split(calgraph.plane.from_pose(T_sensor_board), [3])
-    points = directions * (-d / (directions @ n) + rng.normal(0, sigma, len(directions)))[:, None]
-    on_board = se3.apply(se3.inverse(T_sensor_board), points)
-    return points[(abs(on_board[:, 0]) < 0.48) & (abs(on_board[:, 1]) < 0.38) & (points[:, 0] > 0)]
+    ranges = -d / (directions @ n)
+    x, y, _ = se3.apply(se3.inverse(T_sensor_board), directions * ranges[:, None]).T
+    hit = (ranges > 0) & (abs(x) < 0.48) & (abs(y) < 0.38)
+    return directions[hit] * (ranges[hit] + rng.normal(0, sigma, hit.sum()))[:, None]
 
 
 def rays(azimuth, elevation):
@@ -82,10 +92,10 @@ LASER = rays(np.radians(np.arange(-90, 90, 0.25)), np.zeros(1))
 # and return :class:`calgraph.Rejected` with the reason where too few measurements remain. All
 # detections under one number are of the same board at rest; sensors without a detection are left out.
 found = {name: {} for name in rig.sensors}
-for capture, T_lidar_board in enumerate(board_poses(30)):
+for capture, T_lidar_board in enumerate(board_poses(60)):
     T = {name: se3.inverse(TRUE[name]) @ T_lidar_board for name in TRUE}
     cloud, scan = beams_on_board(T["lidar"], LIDAR, 0.02), beams_on_board(T["laser"], LASER, 0.01)
-    pixels = camera.project(se3.apply(T["camera"], corners)) + rng.normal(0, 0.3, (4, 2))
+    pixels = camera.project(se3.apply(T["camera"], corners)) + rng.normal(0, 0.3, (len(corners), 2))
     found["lidar"][capture] = calgraph.plane_patch_from_points(cloud, rig.sensors["lidar"].noise)
     found["laser"][capture] = calgraph.segment_from_points(scan, rig.sensors["laser"].noise)
     found["camera"][capture] = calgraph.board_corners_from_pixels(
@@ -104,7 +114,7 @@ for sensor in calibration.sensors:
     error = se3.difference(sensor.T_root_sensor, TRUE[sensor.name])
     stddev = np.sqrt(np.diag(sensor.covariance))
     print(f"{sensor.name:7} {sensor.verdict.grade}: off by {1000 * np.linalg.norm(error[:3]):.1f} mm, "
-          f"{np.degrees(np.linalg.norm(error[3:])):.3f}°, at ± {1000 * stddev[:3].max():.1f} mm")  # fmt: skip
+          f"{np.degrees(np.linalg.norm(error[3:])):.3f}°, at σ = {1000 * stddev[:3].max():.1f} mm")  # fmt: skip
 
 # %%
 # Relative poses of pairs
