@@ -52,7 +52,7 @@ def test_errors_of_rings_do_not_fall_with_time() -> None:
     rng = np.random.default_rng(1)
     ring, errors, widths = np.tile(np.arange(16), 50), rng.normal(size=(200, 16)), []
     for intervals in (10, 40):
-        time, place = np.repeat(5.0 * np.arange(intervals), 800 // intervals), 10.0 * np.arange(800)
+        time, place = 5.0 * np.floor(np.arange(800.0) * intervals / 800), 10.0 * np.arange(800.0)
         parts = [clusters((one - one.mean())[ring, None], time, place, ring) for one in errors]
         variances = np.array([widen_covariance(np.array([[1 / 800]]), [part])[0, 0] for part in parts])
         assert 0.8 < np.mean(errors.mean(axis=1) ** 2 / variances) < 1.2
@@ -67,6 +67,11 @@ def test_rings_of_a_sensor_are_rows_of_elevation() -> None:
     assert first[0] == first[1] == second[0] != second[1]
     assert len(np.unique(label_rings(np.array([0, 0]), level))) == 2
     assert len(np.unique(label_rings(np.array([2, 2]), up[:, :2]))) == 1
+    turns, tenths = np.linspace(0, 6, 40), np.radians(0.1 * np.arange(-300, 300)[:, None])
+    sweep = np.stack(np.broadcast_arrays(np.cos(turns), np.sin(turns), np.tan(tenths)), axis=-1)
+    points = sweep.astype(np.float32).astype(np.float64).reshape(-1, 3)
+    rings = label_rings(np.zeros(len(points), dtype=np.intp), points)
+    assert np.ptp(rings.reshape(-1, 40), axis=1).max() == 0
 
 
 def test_without_points_the_covariance_stays() -> None:

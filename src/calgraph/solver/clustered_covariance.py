@@ -25,8 +25,9 @@ _INTERVAL, _BLOCK = 5.0, 3.0
 # 1.2. In 11 simulated halls with LiDARs it is 1.6 with 1 and 0.5 with 4; where ranges are stated to be exact, 25 s
 # are 4 with 2.
 SCATTER_FACTOR = 4.0
-# Height of a row of elevation, rad (0.4°): less than the distance of rings of most LiDARs.
-_ROW = float(np.radians(0.4))
+# Height of a row of elevation, rad (0.4°): less than the distance of rings of most LiDARs. Edges of rows are
+# shifted by a share of it to be no tenths of a degree, as elevations of rings are: rounding does not divide rings.
+_ROW, _EDGE = float(np.radians(0.4)), 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +83,10 @@ def label_places(place: Array) -> Index:
 
 def label_rings(sensor: Index, points: Array) -> Index:
     """(N,) number of the sensor (N,) and of the row of elevation, 0.4° high, of its points (N, n) in its frame."""
-    height = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
-    elevation = np.arctan2(height, np.hypot(points[:, 0], points[:, 1]))
-    return np.asarray(sensor * (int(np.pi / _ROW) + 1) + (elevation + np.pi / 2) // _ROW, dtype=np.intp)
+    height: Array = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
+    elevation: Array = np.arctan2(height, np.hypot(points[:, 0], points[:, 1]))
+    row = np.floor((elevation + np.pi / 2) / _ROW + _EDGE).astype(np.intp)
+    return np.asarray(sensor * (int(np.pi / _ROW) + 2) + row)
 
 
 def sum_clusters(scores: Array, label: Index) -> Array:
@@ -96,5 +98,5 @@ def sum_clusters(scores: Array, label: Index) -> Array:
 
 def _sum_squares(sums: Array) -> Array:
     """(P, P) expected square of the sum of independent clusters (K, P), some of which may be empty."""
-    count = np.count_nonzero(sums.any(axis=1))
+    count = int(np.sum(sums.any(axis=1)))
     return np.asarray(sums.T @ sums * (count / max(count - 1, 1)))
