@@ -60,10 +60,17 @@ def lazy_group(
     """
 
     class OnDemand(TyperGroup):
-        def main(self, args: Sequence[str] | None = None, *, standalone_mode: bool = True, **settings: Any) -> Any:
+        def main(
+            self,
+            args: Sequence[str] | None = None,
+            prog_name: str | None = None,
+            complete_var: str | None = None,
+            standalone_mode: bool = True,
+            **settings: Any,
+        ) -> Any:
             """Runs a command; errors of usage are a line, as others are, not typer's box."""
             try:
-                code = super().main(args, standalone_mode=False, **settings)
+                code = super().main(args, prog_name, complete_var, standalone_mode=False, **settings)
             except typer.Abort:
                 code = 1
             except _ParserError as error:
