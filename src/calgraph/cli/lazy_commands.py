@@ -66,11 +66,12 @@ def lazy_group(
             prog_name: str | None = None,
             complete_var: str | None = None,
             standalone_mode: bool = True,
-            **settings: Any,
+            windows_expand_args: bool = True,
+            **extra: Any,
         ) -> Any:
             """Runs a command; errors of usage are a line, as others are, not typer's box."""
             try:
-                code = super().main(args, prog_name, complete_var, standalone_mode=False, **settings)
+                code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
             except typer.Abort:
                 code = 1
             except _ParserError as error:
