@@ -14,8 +14,8 @@ import real_recordings
 import subsets
 import webcams
 from calgraph.boards.detections import BoardCorners
-from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.result_files import write_results
+from calgraph.calibration.dispatch import calibrate
+from calgraph.calibration.result_files import write_results
 from calgraph.config import Rig, load_rig
 from calgraph.network.options import NetworkOptions
 from calgraph.recording import open_recording, resolve_intrinsics

@@ -13,7 +13,7 @@ PURPOSE = {
     "fleet": "many robots, drift over time",
     "live": "sources, recorder, phone page",
     "simulation": "ground truth",
-    "calibrate": "dispatch, result files",
+    "calibration": "dispatch, result files",
     "rig": "a robot with a board",
     "network": "scanners and people",
     "drive": "LiDARs that share no view",

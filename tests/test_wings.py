@@ -17,7 +17,7 @@ def import_alone(modules: str) -> list[str]:
 
 @pytest.mark.parametrize(("wing", "others"), [("rig", ("network", "drive")), ("network", ("rig", "drive"))])
 def test_a_wing_is_used_without_the_others(wing: str, others: tuple[str, str]) -> None:
-    imported = import_alone(f"calgraph.{wing}, calgraph.{wing}.pipeline, calgraph.calibrate.dispatch")
+    imported = import_alone(f"calgraph.{wing}, calgraph.{wing}.pipeline, calgraph.calibration.dispatch")
     assert f"calgraph.{wing}.checks" in imported
     unused = (*(f"calgraph.{other}" for other in others), f"calgraph.{wing}.published")
     assert [name for name in imported if f"{name}.".startswith(tuple(f"{one}." for one in unused))] == []

@@ -272,6 +272,7 @@ USAGE: Mapping[str, tuple[str, str]] = {
         "calibrate {rig} {rec} -o {out} --estimator publish",
         "'publish' is not one of 'joint', 'published'",
     ),
+    "a misspelled format": ("export {tmp} --format lunch", "'--format' / '-f': 'lunch' is not one of 'launch', "),
     "more processes than any machine has": (
         "calibrate {rig} {rec} -o {out} --jobs 99999999999999999999",
         "'--jobs': .* less than or equal to 256",

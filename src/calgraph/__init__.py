@@ -7,6 +7,7 @@ no time: a name is imported when it is first used. Type checkers read ``__init__
 from importlib import import_module
 
 _NAMES = {
+    "calgraph.calibration.dispatch": "calibrate",
     "calgraph.network.pipeline": "calibrate_network calibrate_tracks",
     "calgraph.drive.pipeline": "calibrate_drive",
     "calgraph.drive.options": "DriveOptions",

@@ -3,6 +3,7 @@
 from calgraph.boards.detections import BoardCorners as BoardCorners
 from calgraph.boards.detections import PlanePatch as PlanePatch
 from calgraph.boards.detections import Segment as Segment
+from calgraph.calibration.dispatch import calibrate as calibrate
 from calgraph.config import Board as Board
 from calgraph.config import CameraSpec as CameraSpec
 from calgraph.config import Cylinder as Cylinder

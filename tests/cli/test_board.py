@@ -70,6 +70,15 @@ def test_a_large_board_is_spread_over_pages_where_asked_for(run: Run, tmp_path: 
     assert page_sizes(tmp_path / "board.pdf") == [(297, 420)] * 15
 
 
+def test_pages_without_print_are_named(run: Run, tmp_path: Path) -> None:
+    """The lower corners of the sheet are white: two tags are above, one is below them."""
+    result = run("board", "--size", "1200x900", "--tile", "A4", "-o", tmp_path / "board.pdf")
+    assert "28 pages of 210x297 mm" in result.stderr
+    assert (
+        "without print, to be left out on a white board: A4, B4, C1, C2, C6, C7, D1, D2, D6, D7" in result.stderr
+    )
+
+
 def test_the_target_goes_into_a_rig(run: Run, simulated: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text((simulated / "rig.yaml").read_text())

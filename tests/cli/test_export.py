@@ -194,7 +194,7 @@ def test_an_unknown_format_is_bad_usage_and_the_available_ones_are_named(run: Ru
 def test_a_folder_without_a_calibration_is_named(run: Run, tmp_path: Path) -> None:
     result = run("export", tmp_path, "-f", "tf")
     assert result.exit_code == 2
-    expected = f"{tmp_path}: has no calibration.yaml; give the folder that calibrate wrote with -o"
+    expected = f"{tmp_path}: has no calibration.yaml; give the folder that calibrate wrote"
     assert result.stderr == f"calgraph: {expected}\n"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate.result_files import hash_input
+from calgraph.calibration.result_files import hash_input
 from calgraph.cli.provenance import describe_run
 from calgraph.result import load_calibration
 

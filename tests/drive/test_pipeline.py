@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibration.dispatch import calibrate
 from calgraph.config import Rig, Tolerance
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.calibrate.dispatch import calibrate as calibrate_any
+from calgraph.calibration.dispatch import calibrate as calibrate_any
 from calgraph.config import Rig, load_rig
 from calgraph.network.options import NetworkOptions
 from calgraph.recording import open_recording

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibration.dispatch import calibrate
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3

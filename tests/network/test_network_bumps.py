@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibration.dispatch import calibrate
 from calgraph.geometry import se3
 from calgraph.network.options import NetworkOptions
 from calgraph.recording import MessageRecording

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibration.dispatch import calibrate
 from calgraph.config import load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError

@@ -67,7 +67,7 @@ def test_a_file_needs_all_of_its_numbers(tmp_path: Path) -> None:
 
 
 def pose_of(joint: ElementTree.Element) -> Array:
-    from calgraph.result.exports.frames import from_roll_pitch_yaw
+    from calgraph.geometry.so3 import from_roll_pitch_yaw
 
     origin = joint.find("origin")
     assert origin is not None

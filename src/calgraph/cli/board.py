@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from calgraph.cli.console import console
@@ -25,6 +26,7 @@ from calgraph.printing import (
     read_boards,
     replace_target,
 )
+from calgraph.printing.pages import black_rectangles_mm
 
 _MAX_OFFICE_PAPER = 420.0
 """mm: longer paper than A3 does not go into the printers of offices."""
@@ -94,7 +96,8 @@ def board_options(
         write_text(into, changed)
     typer.echo(format_target(boards), nl=False)
     console(stderr=True).print(
-        f"Wrote {out}: {_describe([page for _, of_one in pages for page in of_one])}", markup=False
+        f"Wrote {out}: {_describe([page for _, of_one in pages for page in of_one])}{_name_blank(pages)}",
+        markup=False,
     )
 
 
@@ -127,6 +130,18 @@ def _describe(pages: Sequence[Page]) -> str:
     is_large = max(paper.width, paper.height) > _MAX_OFFICE_PAPER
     shop = " in a print shop, or give --tile A4 for pages to be joined" if is_large else ""
     return f"{size}; print at 100 %{shop}"
+
+
+def _name_blank(pages: Sequence[tuple[Board, Sequence[Page]]]) -> str:
+    """Which pages have rulers only, and need no paper where the board is white."""
+    blank = []
+    for of_board, of_one in pages:
+        left, bottom, right, top = black_rectangles_mm(of_board).T
+        for page in of_one:
+            across = (left < page.window.right) & (right > page.window.left)
+            if not np.any(across & (bottom < page.window.top) & (top > page.window.bottom)):
+                blank.append(page.label)
+    return f"; without print, to be left out on a white board: {', '.join(blank)}" if blank else ""
 
 
 board = add_options(board_options, _MODEL_OPTIONS, BoardOptions())

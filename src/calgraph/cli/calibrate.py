@@ -112,8 +112,8 @@ def calibrate(
     nevertheless); 2: invalid input.
     """
     # Modules that read and calibrate take a second, which --help should not.
-    from calgraph.calibrate.dispatch import calibrate as calibrate_any
-    from calgraph.calibrate.result_files import write_results
+    from calgraph.calibration.dispatch import calibrate as calibrate_any
+    from calgraph.calibration.result_files import write_results
     from calgraph.cli.cache import open_cache
     from calgraph.cli.progress import progress_bars
     from calgraph.cli.provenance import describe_run

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from calgraph.calibrate.result_files import format_comparison, write_results
+from calgraph.calibration.result_files import format_comparison, write_results
 from calgraph.cli.cache import open_cache
 from calgraph.cli.common_options import (
     RESULT_FILES,

@@ -133,17 +133,3 @@ def check_not_overwriting(folder: Path, names: Iterable[str], *, force: bool) ->
             f"{folder}: contains earlier results ({', '.join(found)}); choose another OUT, or give --force to "
             f"replace them"
         )
-
-
-def find_calibration(result: Path) -> Path:
-    """The calibration.yaml in a folder of results, or the file given.
-
-    Raises:
-        InputError: the folder has none.
-    """
-    if not result.is_dir():
-        return result
-    file = result / "calibration.yaml"
-    if not file.is_file():
-        raise InputError(f"{result}: has no calibration.yaml; give the folder that calibrate wrote with -o")
-    return file

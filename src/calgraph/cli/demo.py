@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calgraph.calibrate.result_files import write_results
+from calgraph.calibration.result_files import write_results
 from calgraph.cli.calibrate import fail_if_not_calibrated
 from calgraph.cli.common_options import ForceOption, check_not_overwriting
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from calgraph.cli.common_options import find_calibration, list_choices
+from calgraph.cli.common_options import list_choices
 from calgraph.cli.console import console
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
@@ -15,6 +15,7 @@ from calgraph.io.atomic import write_text
 from calgraph.io.yaml_reading import read_text
 from calgraph.result import Calibration, SensorPose, load_calibration
 from calgraph.result import export as export_text
+from calgraph.result.calibration_reading import find_calibration
 from calgraph.result.exports import Parents
 
 Format = Literal["launch", "tf", "urdf", "kalibr", "camera_info", "corrections", "json"]

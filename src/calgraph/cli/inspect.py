@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from calgraph.cli.common_options import OneRecording, find_calibration
+from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console, make_table
 from calgraph.cli.init import find_background, find_mode
 from calgraph.cli.printing import print_budget, print_calibration, print_pair_budget, print_provenance
@@ -85,7 +85,7 @@ def show_result(calibration: Calibration, *, json: bool) -> None:
 
 def show_pair(result: Path, a: str, b: str, *, json: bool) -> None:
     """Prints what the errors of the pose of sensor b relative to sensor a come from, of a folder of results."""
-    calibration = load_calibration(find_calibration(result))
+    calibration = load_calibration(result)
     sources, covariance = load_pair_budget(result / "budget.csv", calibration, a, b)
     budget = ErrorBudget.of_poses(sources, covariance, [calibration.transform(a, b)])
     if not json:

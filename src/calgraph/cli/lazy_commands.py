@@ -60,10 +60,18 @@ def lazy_group(
     """
 
     class OnDemand(TyperGroup):
-        def main(self, *args: Any, standalone_mode: bool = True, **settings: Any) -> Any:
+        def main(
+            self,
+            args: Sequence[str] | None = None,
+            prog_name: str | None = None,
+            complete_var: str | None = None,
+            standalone_mode: bool = True,
+            windows_expand_args: bool = True,
+            **extra: Any,
+        ) -> Any:
             """Runs a command; errors of usage are a line, as others are, not typer's box."""
             try:
-                code = super().main(*args, standalone_mode=False, **settings)
+                code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
             except typer.Abort:
                 code = 1
             except _ParserError as error:
@@ -72,8 +80,9 @@ def lazy_group(
                 if type(error).__name__ != "NoArgsIsHelpError":
                     context = getattr(error, "ctx", None)
                     command = context.command_path if context else "calgraph"
-                    message = f"{escape(error.format_message().rstrip('.'))}; see {command} --help"
-                    console(stderr=True).print(f"[bold red]calgraph:[/] {message}", soft_wrap=True)
+                    message = error.format_message().replace("Value error, ", "").rstrip(".")
+                    line = f"[bold red]calgraph:[/] {escape(message)}; see {command} --help"
+                    console(stderr=True).print(line, soft_wrap=True)
             return sys.exit(code) if standalone_mode else code
 
         def __init__(self, **settings: Any) -> None:

@@ -12,6 +12,7 @@ from rich.markup import escape
 from calgraph.cli.console import console, make_table
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
+from calgraph.geometry.so3 import roll_pitch_yaw
 from calgraph.result import (
     BaseFrame,
     Calibration,
@@ -21,7 +22,6 @@ from calgraph.result import (
     SensorPose,
     Verdict,
 )
-from calgraph.result.exports import roll_pitch_yaw
 from calgraph.result.reasons import share_clauses
 from calgraph.sensors.kinds import KINDS
 

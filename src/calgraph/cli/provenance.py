@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from calgraph.calibrate.result_files import make_provenance
+from calgraph.calibration.result_files import make_provenance
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result import Provenance
 

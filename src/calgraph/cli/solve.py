@@ -62,7 +62,7 @@ def solve(
 
     Exit codes are those of calibrate.
     """
-    from calgraph.calibrate.result_files import write_results
+    from calgraph.calibration.result_files import write_results
     from calgraph.cli.provenance import describe_run
     from calgraph.io.atomic import replace_folder_atomically
     from calgraph.rig.bundle.problem import with_prior_poses

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.common_options import find_calibration
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.io.termination import allow_interrupts
@@ -30,7 +29,7 @@ def view(
 
     if not result.is_dir():
         raise InputError(f"{result}: is no folder; give the one that calibrate wrote with -o")
-    calibration = load_calibration(find_calibration(result))
+    calibration = load_calibration(result)
     rig = load_rig(result / "rig.resolved.yaml")
     calibration = replace(calibration, pictures=load_scene(result / "scene.npz", rig.settings.limits))
     with Viewer(calibration, calibrated_cameras(calibration, rig), host, port) as viewer:

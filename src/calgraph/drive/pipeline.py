@@ -48,7 +48,7 @@ _KNOT_SPACING, _MAX_KNOT_SPACING = 0.1, 0.25
 
 
 def calibrate_drive(
-    rig: Rig, recording: Recording, options: DriveOptions, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: DriveOptions = DriveOptions(), progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates the sensors of a robot from a drive through surroundings, without a target and a common view.
 

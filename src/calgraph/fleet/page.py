@@ -102,7 +102,8 @@ def _describe_row(robot: RobotResult, scale: float) -> dict[str, Any]:
         "changes": {one.sensor: _describe_change(one) for one in base[-1].changes} if base else {},
         "largest": largest.distance if largest else -1.0,
         "change": _describe_change(largest) if largest else "–",
-        "lines": _draw_drift(robot, base, scale) if base else [],
+        # One change of sensors that did not move is no course, and stands in the table.
+        "lines": _draw_drift(robot, base, scale) if len(base) > 1 or (base and robot.moves) else [],
         "messages": messages,
     }
 

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from calgraph.calibrate.result_files import hash_input
+from calgraph.calibration.result_files import hash_input
 from calgraph.config import FleetConfig
 from calgraph.recording.bag_files import split_numbers
 from calgraph.recording.content_hash import hash_text

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.result_files import format_comparison, make_provenance, write_results
+from calgraph.calibration.dispatch import calibrate
+from calgraph.calibration.result_files import format_comparison, make_provenance, write_results
 from calgraph.config import Rig, load_rig
 from calgraph.drive.audit import compare_drive_extrinsics
 from calgraph.drive.options import DriveOptions

@@ -45,7 +45,7 @@ from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 
 
 def calibrate_network(
-    rig: Rig, recording: Recording, options: NetworkOptions, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: NetworkOptions = NetworkOptions(), progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates stationary scanners or 3-D LiDARs from people who walk through their views (lrf-network).
 
@@ -75,7 +75,7 @@ def calibrate_network(
 def calibrate_tracks(
     rig: Rig,
     tracks: Mapping[str, ScannerTracks | Rejected],
-    options: NetworkOptions,
+    options: NetworkOptions = NetworkOptions(),
     progress: Progress = no_progress,
     *,
     frames: Mapping[str, str] | None = None,

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from calgraph.geometry.so3 import roll_pitch_yaw
 from calgraph.result import BaseFrame
-from calgraph.result.exports import roll_pitch_yaw
 
 
 def format_significant(value: float, significant: int = 2) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calgraph.config import Rig
+from calgraph.geometry.so3 import roll_pitch_yaw
 from calgraph.io.atomic import write_text
 from calgraph.parallel.engine import parallel_call
 from calgraph.parallel.processes import forked_jobs
@@ -30,7 +31,6 @@ from calgraph.report.templates import read_asset, render
 from calgraph.report.verdict_cards import describe_next_step, render_cards, summarize_verdicts
 from calgraph.report.vocabulary import DRIVE_VOCABULARY, SPACE_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration, Provenance
-from calgraph.result.exports import roll_pitch_yaw
 from calgraph.sensors.kinds import KINDS
 
 

@@ -342,7 +342,7 @@ def _over_time(of: _Residuals) -> Figure:
     total = np.array([np.sqrt(np.mean(np.sum(of.error[rows] ** 2, axis=1))) for rows in each])
     means = np.array([of.error[rows].mean(axis=0) for rows in each]).reshape(len(each), -1)
     steps = np.diff(at)
-    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    gaps = np.flatnonzero(steps > _GAP * (np.median(steps) if len(steps) else 1.0)) + 1
     at, total, means = (np.insert(values, gaps, np.nan, axis=0) for values in (at, total, means))
     unit = "px" if of.error.shape[1] == 2 else "mm"
     names = ("mean in x", "mean in y") if unit == "px" else ("mean",)

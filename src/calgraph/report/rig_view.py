@@ -229,7 +229,7 @@ def _project(points: Array, eye: Array) -> Array:
     right = np.cross(ahead, [0.0, 0, 1])
     right /= np.linalg.norm(right)
     viewed = (points - eye) @ np.stack([right, np.cross(ahead, right), ahead], axis=1)
-    return viewed[:, :2] / viewed[:, 2:] * _HEIGHT / 2 / np.tan(_VERTICAL_VIEW / 2)
+    return np.asarray(viewed[:, :2] / viewed[:, 2:] * _HEIGHT / 2 / np.tan(_VERTICAL_VIEW / 2))
 
 
 def _place_names(names: Sequence[str], at: Array, drawn: Array) -> list[str]:

@@ -15,6 +15,7 @@ from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.file_types import Finite
 from calgraph.result.pictures import Pictures, correct_pictures
+from calgraph.result.pose_table import format_rows, list_poses, rows_to_html
 from calgraph.result.reasons import split_clauses
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose
 from calgraph.sensors.kinds import KINDS
@@ -76,7 +77,7 @@ class PriorErrors:
         return np.asarray(self.poses[:, i] @ other.poses[:, j].T)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
     """A tree of sensor poses rooted at one sensor."""
 
@@ -112,6 +113,13 @@ class Calibration:
             block = self.joint_covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
             object.__setattr__(sensor, "covariance", block)
         object.__setattr__(self, "sensors", sensors)
+
+    def __repr__(self) -> str:
+        return format_rows(list_poses(self.sensors, self.evidence.unconnected))
+
+    def _repr_html_(self) -> str:
+        """The table of poses, as notebooks show it."""
+        return rows_to_html(list_poses(self.sensors, self.evidence.unconnected))
 
     def __getitem__(self, name: str) -> SensorPose:
         """The pose of the sensor called ``name``.

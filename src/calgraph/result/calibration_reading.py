@@ -340,8 +340,23 @@ class _File(StrictModel):
         return True
 
 
+def find_calibration(path: Path | str) -> Path:
+    """The calibration.yaml in a folder of results, or the file given.
+
+    Raises:
+        InputError: the folder has none.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    file = path / "calibration.yaml"
+    if not file.is_file():
+        raise InputError(f"{path}: has no calibration.yaml; give the folder that calibrate wrote")
+    return file
+
+
 def load_calibration(path: Path | str) -> Calibration:
-    """Reads a calibration.yaml.
+    """Reads a calibration.yaml, or that of a folder of results.
 
     Residuals come back as their root mean squares only, captures without their residuals; outlines of the board
     are not in the file.
@@ -350,7 +365,7 @@ def load_calibration(path: Path | str) -> Calibration:
         InputError: the file is missing, is not YAML, has another format or version, or has wrong keys or values,
             each on one line.
     """
-    path = Path(path)
+    path = find_calibration(path)
     content = read_yaml(path)
     given = content.get("format")
     if given != FORMAT:

@@ -9,10 +9,10 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
+from calgraph.geometry.so3 import from_roll_pitch_yaw
 from calgraph.io.yaml_reading import read_documents, read_text
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_reading import UNIT_TOLERANCE, load_calibration
-from calgraph.result.exports.frames import from_roll_pitch_yaw
 from calgraph.result.exports.urdf_text import frames_from_joints, read_joints
 from calgraph.result.frame_tree import MAX_DISTANCE, FrameLink, FrameTree
 

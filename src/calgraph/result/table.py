@@ -7,8 +7,8 @@ import numpy as np
 
 from calgraph.errors import CalgraphError
 from calgraph.geometry import so3
+from calgraph.geometry.so3 import roll_pitch_yaw
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports import roll_pitch_yaw
 from calgraph.result.sensor_pose import SensorPose
 
 if TYPE_CHECKING:

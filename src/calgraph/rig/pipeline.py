@@ -47,7 +47,7 @@ from calgraph.verdict.grades import exceeds_tolerance
 
 
 def calibrate_rig(
-    rig: Rig, recording: Recording, options: RigOptions, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: RigOptions = RigOptions(), progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates a robot's sensors from one recording of a board carried around it (MSG-Cal).
 
@@ -70,7 +70,7 @@ def calibrate_rig(
 def calibrate_detections(
     rig: Rig,
     detections: Mapping[str, Mapping[int, GivenDetections]],
-    options: RigOptions,
+    options: RigOptions = RigOptions(),
     cameras: Mapping[str, CameraModel] | None = None,
     progress: Progress = no_progress,
 ) -> Calibration:
@@ -100,7 +100,7 @@ def _save_and_solve(problem: Problem, options: RigOptions, progress: Progress) -
 
 
 def build_problem(
-    rig: Rig, recording: Recording, options: RigOptions, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: RigOptions = RigOptions(), progress: Progress = no_progress
 ) -> Problem:
     """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
     check_board(rig)

@@ -88,12 +88,15 @@ class Panel:
         drive = bool(self._calibration.pictures.drive_paths)
         self._step = _TIME_STEP if network else 1
         last = self._step * (len(self.moments) - 1 if several else 1)
+        # The first capture may be of the empty scene, or of a board that was not used.
+        boards = {float(outline.capture) for outline in self._calibration.pictures.board_outlines}
+        first = next((k for k, moment in enumerate(self.moments) if moment in boards), 0)
         self.time: GuiInputHandle[float] = self._gui.add_slider(
             "time, s" if network else "part" if drive else "capture",
             0,
             round(last, 1),
             self._step,
-            0,
+            first,
             disabled=not several,
         )
         self.everything = self._gui.add_checkbox("all moments", not self.moments or network)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibration.dispatch import calibrate
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.report.page import write_report

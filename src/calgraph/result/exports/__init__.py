@@ -1,7 +1,6 @@
 """A calibration in the formats of other programs."""
 
 from calgraph.result.exports.formats import FORMATS, Parents, export
-from calgraph.result.exports.frames import roll_pitch_yaw
 from calgraph.result.exports.json_text import to_json
 
-__all__ = ["FORMATS", "Parents", "export", "roll_pitch_yaw", "to_json"]
+__all__ = ["FORMATS", "Parents", "export", "to_json"]

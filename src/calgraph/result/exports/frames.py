@@ -136,20 +136,3 @@ def describe_origin(calibration: Calibration) -> str:
 def format_coordinate(value: float) -> str:
     """A coordinate as text: to 1e-13, and 0 for -0."""
     return repr(round(float(value), 13) + 0.0)
-
-
-def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """Angles about the fixed axes x, y, z, rad, with ``R = Rz(yaw) @ Ry(pitch) @ Rx(roll)`` also at pitch ±90°.
-
-    There roll and yaw rotate about the same axis: pitch and roll are computed after the yaw is removed.
-    """
-    yaw = np.arctan2(R[1, 0], R[0, 0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    rest = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R
-    return float(np.arctan2(-rest[1, 2], rest[1, 1])), float(np.arctan2(-rest[2, 0], rest[0, 0])), float(yaw)
-
-
-def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
-    """Rotation matrix of angles about the fixed axes x, y, z, rad: ``Rz(yaw) @ Ry(pitch) @ Rx(roll)``."""
-    Rz, Ry, Rx = (so3.exp(angle * axis) for angle, axis in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True))
-    return np.asarray(Rz @ Ry @ Rx)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
-from calgraph.result.exports.frames import from_roll_pitch_yaw
+from calgraph.geometry.so3 import from_roll_pitch_yaw
 from calgraph.result.frame_tree import MAX_DISTANCE, FrameLink, FrameTree
 
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
