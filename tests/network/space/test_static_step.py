@@ -52,3 +52,13 @@ def test_a_sensor_that_is_moved_along_or_about_an_axis_has_one(axis: int) -> Non
 
 def test_a_sensor_that_falls_has_one() -> None:
     assert find_step(np.array([0.1, 0.0, -0.2, 0.0, 20.0, 0.0]), 0) is not None
+
+
+def test_a_sensor_without_flat_surroundings_has_none() -> None:
+    rng = np.random.default_rng(0)
+    splitter = CloudSplitter()
+    trees = rng.uniform(2.0, 20.0, size=(300, 1)) * rng.normal(size=(300, 3))
+    for k in range(SWEEPS):
+        splitter.add(PointCloud(100 + PERIOD * k, "lidar", trees))
+    assert (split := splitter.finish()) is not None
+    assert split.step is None
