@@ -29,7 +29,7 @@ ONLY_RAISED = {"cli", "report", "printing"}
 """Packages whose other sentences are on the terminal or on a page, but are no messages."""
 HEADINGS = {
     "cli": "Commands and options",
-    "calibrate": "What is calibrated",
+    "calibration": "What is calibrated",
     "config": "rig.yaml",
     "io": "Files",
     "recording": "Recordings",
