@@ -62,6 +62,10 @@ target:
 # Distances between LiDARs are as good as the scale of their ranges: measure known distances, and state for each
 # what is left of the relative error, as uncertainty: {{range_scale: 0.0005}}; 0.003 is assumed.
 """
+_LEVEL_SCANNERS = """\
+# Walls and people do not show the height, roll and pitch of a 2-D scanner: measure them, and state for each
+# height: 1.4 (m over the floor), roll: 0, pitch: 0 (degrees), uncertainty: {tilt: 0.5}.
+"""
 _OPTIONAL = """\
 # These can take part, too: take their # away. Cameras need boards that are fixed in the room, as target.boards.\
 """
@@ -164,8 +168,9 @@ def draft_rig(
     if network:
         people = _PEOPLE.format(reason=_single_line(network))
         # The root measures the floor.
-        sensors = sorted(sensors, key=lambda one: one.topic.kind != "lidar3d")
-        parts = [_head(recording, board=False), _root(sensors), people, _sensors(sensors)]
+        roots = [one for one in sensors if one.topic.kind == "lidar3d"]
+        people += _LEVEL_SCANNERS * (len(roots) < len(sensors))
+        parts = [_head(recording, board=False), _root(roots), people, _sensors(sensors)]
         return "\n".join([*parts, *filter(None, [_unused_topics(topics, unused)])])
     parts = [
         _head(

@@ -47,7 +47,7 @@ from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 def calibrate_network(
     rig: Rig, recording: Recording, options: NetworkOptions = NetworkOptions(), progress: Progress = no_progress
 ) -> Calibration:
-    """Calibrates stationary scanners or 3-D LiDARs from people who walk through their views (lrf-network).
+    """Calibrates stationary scanners and 3-D LiDARs from people who walk through their views (lrf-network).
 
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """

@@ -315,7 +315,7 @@ def _fit(rows: _Rows, noise: BodyNoise, prior: Array, mean: Array) -> _Fit:
 
 def _find_kinds(rows: _Rows) -> Index:
     """(V,) which standard deviations are of each view."""
-    return rows.kind[rows.gather.indices[rows.gather.indptr[:-1]]]
+    return np.asarray(rows.kind[rows.gather.indices[rows.gather.indptr[:-1]]], dtype=np.intp)
 
 
 def _square(rows: _Rows, information: Array, gain: Array, A: csr_array, B: csr_array | Array) -> Array:
@@ -369,7 +369,7 @@ def _expect_squares(rows: _Rows, fit: _Fit) -> tuple[Array, Array]:
     square = error**2 + left[rows.view] + np.einsum("rc,rc->r", rest @ P, rest.toarray())
     kinds = 2 * rows.shape // SHAPE
     white, views = (
-        np.column_stack([np.bincount(kind, some, kinds), np.bincount(kind, minlength=kinds)])
+        np.stack([np.bincount(kind, some, kinds), np.bincount(kind, minlength=kinds)], axis=1, dtype=np.float64)
         for kind, some in ((rows.kind, fit.weight * square / rows.stddev**2), (_find_kinds(rows), of_views))
     )
     return white, views
