@@ -176,7 +176,9 @@ async def _calibrate(folder: SessionFolder) -> FinalCalibration:
         if process.returncode is None:
             process.terminate()
     if _read_time(report) == before:
-        return FinalCalibration(code, lines[-1] if lines else "The calibration failed", None)
+        why = lines[-1] if lines else "The calibration failed"
+        again = f"The recording is kept; when this is corrected: calgraph {shlex.join(arguments)}"
+        return FinalCalibration(code, f"{why}. {again}", None)
     summary, done = _summarise(load_calibration(folder.result / "calibration.yaml"))
     return FinalCalibration(code, summary, report, done)
 
