@@ -58,7 +58,7 @@ def build_scene(
         tracks = [_track(path, state, duration, jump * last, np.array(step) * last, rng) for path in paths]
         observations.append(
             SpaceObservations(
-                np.eye(4), np.zeros(3), _measure_box(state, rng), np.zeros(0, dtype=np.bool_), tuple(tracks),
+                np.eye(4), np.zeros((3, 3)), _measure_box(state, rng), np.zeros(0, dtype=np.bool_), tuple(tracks),
                 np.array([[0.0, duration]]),
             )
         )  # fmt: skip

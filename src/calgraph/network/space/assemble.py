@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, se2, se3
+from calgraph.geometry import Array, se2, se3, se_n
 from calgraph.network.checks.assemble import (
     build_edge,
     build_floor_views,
@@ -17,6 +17,7 @@ from calgraph.network.checks.assemble import (
     match_across_scanners,
 )
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
+from calgraph.network.space.floor_plane import find_heading
 from calgraph.network.space.joint import SpaceSolution
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.start import SpaceStart
@@ -25,6 +26,7 @@ from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.result import Calibration, Evidence, FitError, FloorView, Pictures, SensorPose, Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
+from calgraph.sensors.kinds import FLOOR
 from calgraph.solver.connected_parts import label_parts
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
@@ -62,31 +64,36 @@ class SpaceResult:
 
 def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     """The calibration of a network in space."""
-    solution, start = result.solution, result.start
-    names = list(start.states) if solution else [rig.root]
-    states = solution.states if solution else [start.states.get(rig.root, SensorState(np.eye(4)))]
-    T_root_world = se3.inverse(states[0].T_root_sensor)
+    solution, start, reference = result.solution, result.start, rig.reference
+    names = list(start.states) if solution else [reference]
+    states = solution.states if solution else [start.states.get(reference, SensorState(np.eye(4)))]
+    # The world of the solution is the floor below the reference.
+    T_root_world = np.eye(4) if rig.is_on_floor else se3.inverse(states[0].T_root_sensor)
     covariance = known = np.zeros((6, 6))
     clocks = np.zeros(1)
     if solution:
         covariance, clocks = _express_in_root(solution, solution.covariance, T_root_world)
         known, _ = _express_in_root(solution, solution.with_ranges, T_root_world)
+    of_reference = result.observed[reference]
+    if rig.is_on_floor and isinstance(of_reference, SpaceObservations):
+        of_floor = _spread_floor([one.T_root_sensor for one in states], of_reference.floor_covariance)
+        covariance, known = covariance + of_floor, known + of_floor
     by_sensor = collect_findings(result.findings)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
     parents = find_parents(inliers, initial.names)
-    sensors = []
+    sensors = [SensorPose(FLOOR.name, None, FLOOR.name, FLOOR.name, np.eye(4), Verdict("good"))] * rig.is_on_floor
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
         T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
-        if k and solution is not None:
+        if solution is not None and (k or rig.is_on_floor):
             stddev, rest = (stddev_along_axes(T, one[block, block]) for one in (covariance, known))
             share = 1 - (rest / stddev) ** 2
             worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
             verdict = grade_pose(
                 name, spec.kind, T, covariance[block, block],
-                [*by_sensor.get(name, ()), *_find_contradictions(solution, k)],
+                [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
                 advice=_RANGE_ADVICE if share[worst] > _LARGE_SHARE else _ADVICE,
@@ -95,7 +102,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         sensors.append(
             SensorPose(
                 name,
-                parents.get(name),
+                parents.get(name, rig.root) if name != rig.root else None,
                 spec.frame_id or result.frames.get(name) or name,
                 spec.kind,
                 T,
@@ -121,14 +128,14 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     return Calibration(
         root=rig.root,
         sensors=tuple(sensors),
-        joint_covariance=covariance,
+        joint_covariance=np.pad(covariance, (6 * rig.is_on_floor, 0)),
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
             edges=tuple(build_edge(pair, found, poses, parents) for pair, found in initial.pairs.items()),
             captures=build_walk_rows(samples, matches, result.begin),
             unconnected={
-                name: explain_unconnected(name, rig.root, tracked, initial.pairs)
+                name: explain_unconnected(name, reference, tracked, initial.pairs)
                 for name in rig.sensors
                 if name not in names
             },
@@ -139,7 +146,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         ),
         pictures=Pictures(
             floor_views=_build_views(tracked, samples, planar, result),
-            T_plan_root=np.asarray(states[0].T_root_sensor),
+            T_plan_root=se3.inverse(T_root_world),
         ),
     )
 
@@ -197,6 +204,22 @@ def _express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: A
     pose = numbers[:, :6].ravel()
     turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])
     return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, -BESIDE_POSE]])
+
+
+def _spread_floor(T_floor_sensor: Sequence[Array], covariance: Array) -> Array:
+    """(6S, 6S) errors of poses (4, 4) by those of roll, pitch and height (3, 3) of the first sensor over the floor.
+
+    It is in the origin, and heads along x however it is tilted: the network turns with its heading.
+    """
+    T: Array = np.array(T_floor_sensor)
+    x, _, z = T[0, :3, find_heading(T[0, 2, :3])]
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [z / x, 0.0, 0.0]])
+    by_floor = np.zeros((len(T), 6, 3))
+    by_floor[:, :3] = se_n.rotation_jacobian(T[:, :3, 3] - T[0, :3, 3]) @ turn
+    by_floor[:, 2, 2] = 1.0
+    by_floor[:, 3:] = turn
+    flat = by_floor.reshape(-1, 3)
+    return np.asarray(flat @ covariance @ flat.T)
 
 
 def _project_poses(

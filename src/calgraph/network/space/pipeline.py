@@ -72,17 +72,18 @@ def calibrate_in_space(
         findings: of clocks.
         progress: called with the step and the fraction done.
     """
+    solved = rig.model_copy(update={"root": rig.reference})
     observed, frames = _observe(rig, recording, options, monitor, progress)
     findings = [*findings, *monitor.findings()]
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
-    findings += _describe_steps(rig, measured, recording.start)
+    findings += _describe_steps(solved, measured, recording.start)
     rng = np.random.default_rng(options.seed)
-    start = start_in_space(rig, measured, options, rng, progress)
+    start = start_in_space(solved, measured, options, rng, progress)
     findings += [*start.corrected.findings, *collect_network_findings({}, start.initialization, recording.start)]
-    solution = _solve(rig, measured, start, progress) if len(start.states) > 1 else None
+    solution = _solve(solved, measured, start, progress) if len(start.states) > 1 else None
     if solution is not None:
         names = list(start.states)
-        findings += describe_changes(solution.changes, names, rig.root, solution.begin)
+        findings += describe_changes(solution.changes, names, solved.root, solution.begin)
     return assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
 
 
