@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, se2, se3, se_n
+from calgraph.geometry import Array, se2, se3
 from calgraph.network.checks.assemble import (
     build_edge,
     build_floor_views,
@@ -17,16 +17,15 @@ from calgraph.network.checks.assemble import (
     match_across_scanners,
 )
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
-from calgraph.network.space.floor_plane import find_heading
 from calgraph.network.space.joint import SpaceSolution
 from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.on_floor import spread_floor
 from calgraph.network.space.start import SpaceStart
 from calgraph.network.space.static_surfaces import thin_points
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.result import Calibration, Evidence, FitError, FloorView, Pictures, SensorPose, Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
-from calgraph.sensors.kinds import FLOOR
 from calgraph.solver.connected_parts import label_parts
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
@@ -63,36 +62,32 @@ class SpaceResult:
 
 
 def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
-    """The calibration of a network in space."""
+    """The calibration of a network in space: rooted at a sensor, with poses graded against the root of the rig."""
     solution, start, reference = result.solution, result.start, rig.reference
     names = list(start.states) if solution else [reference]
     states = solution.states if solution else [start.states.get(reference, SensorState(np.eye(4)))]
-    # The world of the solution is the floor below the reference.
-    T_root_world = np.eye(4) if rig.is_on_floor else se3.inverse(states[0].T_root_sensor)
-    covariance = known = np.zeros((6, 6))
-    clocks = np.zeros(1)
+    T_root_world = se3.inverse(states[0].T_root_sensor)
+    covariance, clocks = np.zeros((6, 6)), np.zeros(1)
     if solution:
-        covariance, clocks = _express_in_root(solution, solution.covariance, T_root_world)
-        known, _ = _express_in_root(solution, solution.with_ranges, T_root_world)
-    of_reference = result.observed[reference]
-    if rig.is_on_floor and isinstance(of_reference, SpaceObservations):
-        of_floor = _spread_floor([one.T_root_sensor for one in states], of_reference.floor_covariance)
-        covariance, known = covariance + of_floor, known + of_floor
+        covariance, clocks = express_in_root(solution, solution.covariance, T_root_world)
     by_sensor = collect_findings(result.findings)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
     parents = find_parents(inliers, initial.names)
-    sensors = [SensorPose(FLOOR.name, None, FLOOR.name, FLOOR.name, np.eye(4), Verdict("good"))] * rig.is_on_floor
+    errors, known = _list_errors(rig, result)
+    sensors = []
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
         T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
         if solution is not None and (k or rig.is_on_floor):
-            stddev, rest = (stddev_along_axes(T, one[block, block]) for one in (covariance, known))
+            stddev, rest = (
+                stddev_along_axes(states[k].T_root_sensor, one[block, block]) for one in (errors, known)
+            )
             share = 1 - (rest / stddev) ** 2
             worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
             verdict = grade_pose(
-                name, spec.kind, T, covariance[block, block],
+                name, spec.kind, states[k].T_root_sensor, errors[block, block],
                 [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
@@ -102,7 +97,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         sensors.append(
             SensorPose(
                 name,
-                parents.get(name, rig.root) if name != rig.root else None,
+                parents.get(name),
                 spec.frame_id or result.frames.get(name) or name,
                 spec.kind,
                 T,
@@ -126,9 +121,9 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             samples[name] = resample_tracks(correct_tracks(one, clock_offset=remaining))
     matches = match_across_scanners(samples, planar)
     return Calibration(
-        root=rig.root,
+        root=reference,
         sensors=tuple(sensors),
-        joint_covariance=np.pad(covariance, (6 * rig.is_on_floor, 0)),
+        joint_covariance=covariance,
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
@@ -146,7 +141,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         ),
         pictures=Pictures(
             floor_views=_build_views(tracked, samples, planar, result),
-            T_plan_root=se3.inverse(T_root_world),
+            T_plan_root=np.asarray(states[0].T_root_sensor),
         ),
     )
 
@@ -189,7 +184,19 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     return reasons
 
 
-def _express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
+def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array]:
+    """Covariances (6S, 6S), along the axes of the world, of what is graded, and without errors of ranges."""
+    solution, reference = result.solution, result.observed[rig.reference]
+    if solution is None:
+        return np.zeros((6, 6)), np.zeros((6, 6))
+    found = [express_in_root(solution, one, np.eye(4))[0] for one in (solution.covariance, solution.with_ranges)]
+    if rig.is_on_floor and isinstance(reference, SpaceObservations):
+        of_floor = spread_floor([one.T_root_sensor for one in solution.states], reference.floor_covariance)
+        found = [one + of_floor for one in found]
+    return found[0], found[1]
+
+
+def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
     """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s.
 
     Args:
@@ -204,22 +211,6 @@ def _express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: A
     pose = numbers[:, :6].ravel()
     turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])
     return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, -BESIDE_POSE]])
-
-
-def _spread_floor(T_floor_sensor: Sequence[Array], covariance: Array) -> Array:
-    """(6S, 6S) errors of poses (4, 4) by those of roll, pitch and height (3, 3) of the first sensor over the floor.
-
-    It is in the origin, and heads along x however it is tilted: the network turns with its heading.
-    """
-    T: Array = np.array(T_floor_sensor)
-    x, _, z = T[0, :3, find_heading(T[0, 2, :3])]
-    turn = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [z / x, 0.0, 0.0]])
-    by_floor = np.zeros((len(T), 6, 3))
-    by_floor[:, :3] = se_n.rotation_jacobian(T[:, :3, 3] - T[0, :3, 3]) @ turn
-    by_floor[:, 2, 2] = 1.0
-    by_floor[:, 3:] = turn
-    flat = by_floor.reshape(-1, 3)
-    return np.asarray(flat @ covariance @ flat.T)
 
 
 def _project_poses(

@@ -198,7 +198,7 @@ def level(floor: Array) -> Array:
 
 
 def find_heading(up: Array) -> int:
-    """The axis of a sensor, 0 or 1, that heads along x of its level frame: x, or y if x is near the vertical (3,)."""
+    """The axis of a sensor, 0 or 1, that heads along x of its level frame: x, or y if x is near the vertical."""
     return int(abs(up[0]) >= _MAX_UPRIGHT)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index, se_n
+from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.periods import release_periods
 from calgraph.network.space.person_paths import (
@@ -116,6 +117,7 @@ def solve_space(
     observations: Sequence[SpaceObservations],
     states: Sequence[SensorState],
     prior: Array,
+    earlier: ScannerPrior | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceSolution:
     """Solves for all sensors jointly, by Gauss–Newton with persons and surfaces found again.
@@ -124,6 +126,7 @@ def solve_space(
         observations: by sensor.
         states: start values; the first is the root, in whose levelled frame the solution is.
         prior: (S, 12) standard deviations of these, 0 of what is fixed.
+        earlier: what is known of poses in that frame from an earlier calibration.
         progress: called with the fraction done.
     """
     free, start = prior > 0, states
@@ -145,6 +148,8 @@ def solve_space(
         g = people.gradient + np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
         H[:count, :count] += surfaces.information
         g[:count] += surfaces.gradient
+        if earlier is not None:
+            _add_poses(earlier, states, free, H, g)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
         full[free] = step[:count]
@@ -166,6 +171,8 @@ def solve_space(
     begin = 0.0
     if persons:
         left = np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
+        if earlier is not None:
+            _add_poses(earlier, states, free, np.zeros_like(H), left)
         equations, ends = release_periods(persons, states, body_noise, body, (information, left), free)
         places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
         changes = find_changes(equations, free, ends, places - places[0])
@@ -246,6 +253,16 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
             )
         )  # fmt: skip
     return found
+
+
+def _add_poses(
+    earlier: ScannerPrior, states: Sequence[SensorState], free: NDArray[np.bool_], H: Array, g: Array
+) -> None:
+    """Adds what is known of poses to the equations of free states (S, 12), in place."""
+    T: Array = np.array([states[k].T_root_sensor for k in earlier.nodes])
+    rows = (np.cumsum(free.ravel()).reshape(free.shape) - 1)[earlier.nodes, :6].ravel()
+    H[np.ix_(rows, rows)] += earlier.information
+    g[rows] += earlier.information @ se_n.difference(T, earlier.T_root_scanner).ravel()
 
 
 def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:

@@ -6,13 +6,17 @@ import numpy as np
 
 from calgraph.config import Cylinder, Lidar3dSpec, Rig
 from calgraph.errors import InputError, Rejected
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
+from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_with_earlier
 from calgraph.network.checks.findings import collect_network_findings
+from calgraph.network.joint.planar_poses import NetworkPoses
+from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
-from calgraph.network.space.assemble import SpaceResult, assemble_space
+from calgraph.network.space.assemble import SpaceResult, assemble_space, express_in_root
 from calgraph.network.space.joint import SpaceSolution, solve_space
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.observe import observe_clouds
+from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.parallel.progress import Progress
@@ -38,17 +42,12 @@ def check_space(rig: Rig, options: NetworkOptions) -> None:
     """Checks what is asked of a network in space.
 
     Raises:
-        InputError: a sensor is no 3-D LiDAR, the target is not people, or an option is of planar networks.
+        InputError: a sensor is no 3-D LiDAR, the target is not people, or the estimator is of planar networks.
     """
     for name, spec in rig.sensors.items():
         _lidar_spec(name, spec)
     if isinstance(rig.target, Cylinder):
         raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
-    if options.extend is not None:
-        raise InputError(
-            "`extend`: is of networks of 2-D scanners as yet; give a recording of all 3-D LiDARs of the network, "
-            "without it"
-        )
     estimator = options.select_method(rig.settings.published).estimator
     if estimator != "joint":
         raise InputError(f"`estimator`: must be joint for a network of 3-D LiDARs, got {estimator}")
@@ -58,6 +57,7 @@ def calibrate_in_space(
     rig: Rig,
     recording: Recording,
     options: NetworkOptions,
+    earlier: Calibration | None,
     monitor: InputMonitor,
     findings: Sequence[Finding],
     progress: Progress,
@@ -68,10 +68,17 @@ def calibrate_in_space(
         rig: the network, which :func:`check_space` allows.
         recording: of its sensors, by one clock.
         options: how to calibrate.
+        earlier: the calibration to extend, without the sensors that have moved since.
         monitor: observes the messages.
         findings: of clocks.
         progress: called with the step and the fraction done.
+
+    Raises:
+        InputError: the earlier calibration lacks the sensor whose floor is the root.
+        CalibrationError: nothing is connected to the root of a network that is to be extended, or it has moved.
     """
+    if earlier is not None and rig.is_on_floor:
+        earlier = leave_floor(earlier, rig.reference)
     solved = rig.model_copy(update={"root": rig.reference})
     observed, frames = _observe(rig, recording, options, monitor, progress)
     findings = [*findings, *monitor.findings()]
@@ -80,11 +87,22 @@ def calibrate_in_space(
     rng = np.random.default_rng(options.seed)
     start = start_in_space(solved, measured, options, rng, progress)
     findings += [*start.corrected.findings, *collect_network_findings({}, start.initialization, recording.start)]
-    solution = _solve(solved, measured, start, progress) if len(start.states) > 1 else None
-    if solution is not None:
+    solution = prior = None
+    if len(start.states) > 1:
         names = list(start.states)
+        solution = _solve(solved, measured, start, progress)
+        if earlier is not None:
+            poses = extract_earlier_poses(earlier, solved.root, in_space=True)
+            prior = build_consistent_prior(poses, _locate(names, solution), rig.settings.diagnostics)
+            solution = _solve(solved, measured, start, progress, prior)
         findings += describe_changes(solution.changes, names, solved.root, solution.begin)
-    return assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
+    calibration = assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
+    if earlier is not None:
+        calibration = merge_with_earlier(calibration, earlier, prior)
+    of_reference = observed[solved.root]
+    if rig.is_on_floor and isinstance(of_reference, SpaceObservations):
+        return express_on_floor(calibration, of_reference)
+    return calibration
 
 
 def _observe(
@@ -132,15 +150,28 @@ def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: 
 
 
 def _solve(
-    rig: Rig, measured: Mapping[str, SpaceObservations], start: SpaceStart, progress: Progress
+    rig: Rig,
+    measured: Mapping[str, SpaceObservations],
+    start: SpaceStart,
+    progress: Progress,
+    earlier: ScannerPrior | None = None,
 ) -> SpaceSolution:
     names = list(start.states)
     return solve_space(
         [measured[name] for name in names],
         list(start.states.values()),
         np.array([_state_stddev(rig, name) for name in names]),
+        earlier and earlier.express_in(start.states[rig.root].T_root_sensor),
         lambda done: progress("solving", done),
     )
+
+
+def _locate(names: Sequence[str], solution: SpaceSolution) -> NetworkPoses:
+    """The poses in the frame of the root, the first sensor."""
+    T = np.array([state.T_root_sensor for state in solution.states])
+    T_root_world = se3.inverse(T[0])
+    covariance, _ = express_in_root(solution, solution.covariance, T_root_world)
+    return NetworkPoses(tuple(names), T_root_world @ T, covariance)
 
 
 def _state_stddev(rig: Rig, name: str) -> Array:

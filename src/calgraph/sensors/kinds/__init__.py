@@ -53,8 +53,9 @@ def list_beam_errors(kind: KindName) -> tuple[BeamError, ...]:
 
 
 __all__ = [
-    "FLOOR", "KINDS", "MOTION_TYPES", "SENSOR_TYPES", "TF_TYPES", "CameraSpec", "CameraUncertainty", "DepthCameraSpec",
-    "DepthCameraUncertainty", "DepthNoise", "GyroscopeSpec", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
+    "FLOOR", "KINDS", "MOTION_TYPES", "SENSOR_TYPES", "TF_TYPES", "CameraSpec", "CameraUncertainty",
+    "DepthCameraSpec", "DepthCameraUncertainty", "DepthNoise", "GyroscopeSpec", "KindName", "Lidar2dSpec",
+    "Lidar2dUncertainty",
     "Lidar3dSpec", "Lidar3dUncertainty", "OpticalSpec", "PixelNoise", "RangeNoise", "SensorKind", "SensorSpec",
     "TrajectorySpec",
     "list_beam_errors", "motion_kind_of", "recognize_kind",
