@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index
 
@@ -76,11 +77,11 @@ def label_places(place: Array) -> Index:
     return np.unique(np.floor(place / _BLOCK), axis=0, return_inverse=True)[1].ravel()
 
 
-def sum_clusters(scores: Array, label: Index) -> Array:
+def sum_clusters(scores: Array | csr_array, label: Index) -> Array:
     """(K, P) sums of scores (N, P) by label (N,)."""
-    sums = np.zeros((int(label.max(initial=-1)) + 1, scores.shape[1]))
-    np.add.at(sums, label, scores)
-    return sums
+    shape = int(label.max(initial=-1)) + 1, len(label)
+    sums = csr_array((np.ones(len(label)), (label, np.arange(len(label)))), shape=shape) @ scores
+    return np.asarray(sums if isinstance(sums, np.ndarray) else sums.toarray())
 
 
 def _sum_squares(sums: Array) -> Array:

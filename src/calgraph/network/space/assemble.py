@@ -167,7 +167,7 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     reasons = []
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
-    if not any((one.sensor == k).any() for one in solution.persons):
+    if not any(k in one.sensors for one in solution.persons):
         reasons.append("no person was measured by it and another LiDAR at the same time and place")
     between = solution.contradiction[k]
     if between.significance > 1:

@@ -15,15 +15,9 @@ from calgraph.geometry import Array, Index, se_n
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.periods import release_periods
-from calgraph.network.space.person_paths import (
-    SHAPE,
-    SHARED_MEAN,
-    SHARED_STDDEV,
-    BodyNoise,
-    PersonEquations,
-    reduce_person,
-)
-from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
+from calgraph.network.space.person_batches import LocalPerson, PeopleEquations, add_persons, reduce_persons
+from calgraph.network.space.person_paths import SHAPE, SHARED_MEAN, SHARED_STDDEV, BodyNoise, PersonEquations
+from calgraph.network.space.persons import find_persons, gather_samples
 from calgraph.network.space.static_directions import find_rows
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
@@ -31,6 +25,7 @@ from calgraph.network.space.static_surfaces import (
     reduce_surfaces,
     thin_points,
 )
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.solver.clustered_covariance import label_places, label_times, sum_clusters, widen_by_clusters
 from calgraph.surfaces.map_agreement import measure_agreement
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
@@ -51,22 +46,6 @@ _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
 _PLANAR = np.array([0, 1, 5])
 _SPLIT_STDDEV = np.array([1.0, 1.0, 0.2])
 _FALSE_ALARM = 0.001
-
-
-@dataclass(frozen=True, eq=False)
-class PeopleEquations:
-    """Normal equations from all persons, of the P free states and the 6 means of the shapes of bodies."""
-
-    information: Array
-    """(P + 6, P + 6)."""
-    gradient: Array
-    """(P + 6,)."""
-    scores: Array
-    """(V, P + 6) what each view contributes to the gradient."""
-    time: Array
-    """(V,) of these by the root's clock, s."""
-    source: Index
-    """(V,) number of person and sensor."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +71,7 @@ class SpaceSolution:
     """(P, P) of these."""
     with_ranges: Array
     """(P, P) that it would be if the ranges of all sensors had no errors but noise."""
-    persons: Sequence[BodySamples]
+    persons: Sequence[LocalPerson]
     """The measurements of each person whom several sensors measured."""
     people: PeopleEquations
     shared: SharedSurfaces
@@ -118,6 +97,7 @@ def solve_space(
     states: Sequence[SensorState],
     prior: Array,
     earlier: ScannerPrior | None = None,
+    engine: MapEngine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceSolution:
     """Solves for all sensors jointly, by Gauss–Newton with persons and surfaces found again.
@@ -127,6 +107,7 @@ def solve_space(
         states: start values; the first is the root, in whose levelled frame the solution is.
         prior: (S, 12) standard deviations of these, 0 of what is fixed.
         earlier: what is known of poses in that frame from an earlier calibration.
+        engine: evaluates persons; does not affect the result.
         progress: called with the fraction done.
     """
     free, start = prior > 0, states
@@ -136,13 +117,13 @@ def solve_space(
     points = [thin_points(one.static.points) for one in observations]
     noise = NoiseModel.at_start(len(states))
     body_noise, body = _START_BODY, SHARED_MEAN
-    persons: list[BodySamples] = []
+    persons: list[LocalPerson] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
-            persons = find_persons(samples, states, person_gate)
+            persons = [LocalPerson.of(one) for one in find_persons(samples, states, person_gate)]
             shared = find_shared_surfaces(points, states, surface_gate)
-        reduced = [reduce_person(one, states, body_noise, body) for one in persons]
-        people = _add_persons(reduced, free)
+        reduced = reduce_persons(persons, states, body_noise, body, engine)
+        people = add_persons(persons, reduced, free)
         surfaces = reduce_surfaces(shared, states, noise, free)
         H = people.information + np.diag(information)
         g = people.gradient + np.append(_deviate(states, start)[free], body - SHARED_MEAN) * information
@@ -157,13 +138,9 @@ def solve_space(
         body = body + step[count:]
         body_noise, noise = _estimate_body_noise(reduced, body_noise), noise.estimated_again([surfaces])
         progress((k + 1) / len(_PERSON_GATES))
-    along = surfaces.scores.along(np.eye(count, len(H)))
-    clusters = [
-        sum_clusters(people.scores, label_times(people.time)),
-        sum_clusters(people.scores, people.source),
-        sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
-        sum_clusters(along, _label_rings(shared)),
-    ]
+    clusters = [sum_clusters(people.scores, label) for label in (label_times(people.time), people.source)]
+    for label in (label_places(shared.surfaces.center[shared.surface]), _label_rings(shared)):
+        clusters.append(np.pad(surfaces.scores.sum_by(label), ((0, 0), (0, SHAPE))))
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
     world = [state.place(one.static.points)[0] for state, one in zip(states, observations, strict=True)]
@@ -181,7 +158,7 @@ def solve_space(
         states, free, covariance, _condition_on_ranges(covariance, free),
         persons, people, shared, noise, body_noise, body,
         agreement=measure_agreement([[(one, np.zeros(len(one), dtype=np.intp)) for one in world]]),
-        contradiction=_compare_people(people, H, free),
+        contradiction=_compare_people(people, inverse, free),
         changes=changes,
         begin=begin,
         squared_step=float(step[:count] @ np.linalg.solve(covariance, step[:count])),
@@ -200,21 +177,6 @@ def _condition_on_ranges(covariance: Array, free: NDArray[np.bool_]) -> Array:
     return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(ranges, ranges)], cross.T))
 
 
-def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_]) -> PeopleEquations:
-    columns = np.append(np.flatnonzero(free), free.size + np.arange(SHAPE))
-    size, none = len(columns), np.zeros(0, dtype=np.intp)
-    H, g = np.zeros((size, size)), np.zeros(size)
-    for one in persons:
-        H += one.information[np.ix_(columns, columns)]
-        g += one.gradient[columns]
-    return PeopleEquations(
-        H, g,
-        np.concatenate([np.zeros((0, size)), *(one.scores[:, columns] for one in persons)]),
-        np.concatenate([np.zeros(0), *(one.view_time for one in persons)]),
-        np.concatenate([none, *(one.view_sensor + len(free) * k for k, one in enumerate(persons))]),
-    )  # fmt: skip
-
-
 def _label_rings(shared: SharedSurfaces) -> Index:
     """(N,) number of the sensor and ring of each static point: errors of rings are the same everywhere."""
     row = find_rows(shared.points)
@@ -222,12 +184,12 @@ def _label_rings(shared: SharedSurfaces) -> Index:
     return np.asarray(label.ravel(), dtype=np.intp)
 
 
-def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
+def _compare_people(people: PeopleEquations, inverse: Array, free: NDArray[np.bool_]) -> list[Contradiction]:
     """Rao's score test of another place and heading of each sensor for people than for surfaces.
 
     Args:
         people: their equations at the solution.
-        H: (P + 6, P + 6) information of people and surfaces.
+        inverse: (P + 6, P + 6) of the information of people and surfaces.
         free: (S, 12).
     """
     found = []
@@ -237,14 +199,13 @@ def _compare_people(people: PeopleEquations, H: Array, free: NDArray[np.bool_]) 
             found.append(Contradiction(0.0, 0.0, 0.0))
             continue
         rows = number[k, _PLANAR]
-        response = np.linalg.solve(H, people.information[:, rows])
+        response = inverse @ people.information[:, rows]
         information = people.information[np.ix_(rows, rows)] - people.information[rows] @ response
         information += np.diag(_SPLIT_STDDEV**-2.0)
         size = -np.linalg.solve(information, people.gradient[rows])
         # What independent groups of people contribute scatters more than independent errors.
         sums = sum_clusters(people.scores[:, rows] - people.scores @ response, people.source)
-        inverse = np.linalg.inv(information)
-        covariance = widen_by_clusters(inverse, [sums])
+        covariance = widen_by_clusters(np.asarray(np.linalg.inv(information)), [sums])
         statistic = float(size @ np.linalg.solve(covariance, size))
         found.append(
             Contradiction(

@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
+from calgraph.network.space.person_batches import LocalPerson, find_columns, number_columns
 from calgraph.network.space.person_paths import SHAPE, BodyNoise, reduce_person
-from calgraph.network.space.persons import BodySamples, date_samples
+from calgraph.network.space.persons import date_samples
 from calgraph.solver.change_tests import PeriodEquations
 from calgraph.surfaces.sensor_states import SensorState
 from calgraph.verdict.state_changes import PERIOD
 
 
 def release_periods(
-    persons: Sequence[BodySamples],
+    persons: Sequence[LocalPerson],
     states: Sequence[SensorState],
     noise: BodyNoise,
     body: Array,
@@ -31,18 +32,20 @@ def release_periods(
         prior: (P + 6,) information on states and means of shapes, and the gradient by it.
         free: (S, 12) which states are estimated.
     """
-    dates = [date_samples(one, states) for one in persons]
+    own = [[states[k] for k in one.sensors] for one in persons]
+    dates = [date_samples(one.samples, some) for one, some in zip(persons, own, strict=True)]
     begin, end = min(one[0] for one in dates), max(one[-1] for one in dates)
     K = max(int((end - begin) // PERIOD), 1)
-    numbers = free.size * K
     sensor, period, column = np.nonzero(np.repeat(free[:, None], K, axis=1))
-    rows = np.append((sensor * K + period) * free.shape[1] + column, numbers + np.arange(SHAPE))
-    H, g = np.zeros((len(rows),) * 2), np.zeros(len(rows))
-    for one, times in zip(persons, dates, strict=True):
+    number, size = number_columns((sensor * K + period) * free.shape[1] + column, free.size * K)
+    H, g = np.zeros((size, size)), np.zeros(size)
+    for one, some, times in zip(persons, own, dates, strict=True):
         of = np.clip((times - begin) // PERIOD, 0, K - 1).astype(np.intp)
-        reduced = reduce_person(one, states, noise, body, (one.sensor * K + of, len(states) * K))
-        H += reduced.information[np.ix_(rows, rows)]
-        g += reduced.gradient[rows]
+        reduced = reduce_person(one.samples, some, noise, body, (one.samples.sensor * K + of, len(some) * K))
+        in_periods = (one.sensors[:, None] * K + np.arange(K)).ravel()
+        used, columns = find_columns(in_periods, number, free.shape[1])
+        H[np.ix_(columns, columns)] += reduced.information[np.ix_(used, used)]
+        g[columns] += reduced.gradient[used]
     P = int(free.sum())
     same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], P + np.arange(SHAPE))
     constant = np.full(SHAPE, -1)

@@ -1,6 +1,7 @@
 """Networks in space: from one recording of people walking through a hall to the poses of its 3-D LiDARs."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from calgraph.network.space.observe import observe_clouds
 from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
+from calgraph.parallel.engine import MapEngine
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.progress import Progress
-from calgraph.recording import Recording
-from calgraph.recording.input_checks import InputMonitor
+from calgraph.recording import Recording, RecordingReference, refer_to
+from calgraph.recording.input_checks import InputMonitor, TopicObservations
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.sensors import PointCloud
@@ -29,6 +32,8 @@ from calgraph.sensors.kinds import SensorSpec
 from calgraph.surfaces.sensor_states import TIMING
 from calgraph.verdict.state_changes import describe_changes
 
+# LiDARs that are read together, 150 MB each until their points are split; batches for each worker, as of scanners.
+_MAX_TOGETHER, _BATCHES_PER_WORKER = 10, 4
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
 
@@ -90,11 +95,12 @@ def calibrate_in_space(
     solution = prior = None
     if len(start.states) > 1:
         names = list(start.states)
-        solution = _solve(solved, measured, start, progress)
-        if earlier is not None:
-            poses = extract_earlier_poses(earlier, solved.root, in_space=True)
-            prior = build_consistent_prior(poses, _locate(names, solution), rig.settings.diagnostics)
-            solution = _solve(solved, measured, start, progress, prior)
+        with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
+            solution = _solve(solved, measured, start, engine, progress)
+            if earlier is not None:
+                poses = extract_earlier_poses(earlier, solved.root, in_space=True)
+                prior = build_consistent_prior(poses, _locate(names, solution), rig.settings.diagnostics)
+                solution = _solve(solved, measured, start, engine, progress, prior)
         findings += describe_changes(solution.changes, names, solved.root, solution.begin)
     calibration = assemble_space(rig, SpaceResult(observed, frames, start, recording.start, solution, findings))
     if earlier is not None:
@@ -108,23 +114,57 @@ def calibrate_in_space(
 def _observe(
     rig: Rig, recording: Recording, options: NetworkOptions, monitor: InputMonitor, progress: Progress
 ) -> tuple[dict[str, SpaceObservations | Rejected], dict[str, str]]:
-    """What each sensor measured, and the frames that messages state."""
-    specs = {name: _lidar_spec(name, spec) for name, spec in rig.sensors.items()}
-    names = {rig.topics[name]: name for name in specs}
-    splitters = {name: CloudSplitter() for name in specs}
-    frames: dict[str, str] = {}
-    for record in monitor.observe(recording.records(list(names))):
-        name, message = names[record.topic], record.decode()
-        if isinstance(message, PointCloud):
-            frames.setdefault(name, message.frame_id)
-            splitters[name].add(message)
-        progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+    """What each sensor measured, and the frames that messages state.
+
+    Each call reads the recording by itself, as with scanners: passing over the messages of others takes little.
+    """
+    names, engine = list(rig.sensors), options.engine
+    batches = -(-len(names) // (_BATCHES_PER_WORKER * max(engine.workers, 1)))
+    size = min(_MAX_TOGETHER, batches) if len(names) > 1 else 1
+    parts = [names[k : k + size] for k in range(0, len(names), size)]
+    shared = Kept.of((rig, refer_to(recording, rig.settings.limits), options.seed))
     observed: dict[str, SpaceObservations | Rejected] = {}
-    for k, (name, spec) in enumerate(specs.items()):
-        rng = np.random.default_rng([options.seed, k])
-        observed[name] = observe_clouds(splitters.pop(name), spec, rig.settings.tracking, rng)
-        progress("tracking", (k + 1) / len(specs))
+    frames: dict[str, str] = {}
+    for found in engine.map(_observe_batch, [(shared, part) for part in parts]):
+        for name, one in found.items():
+            observed[name] = one.observations
+            if one.frame is not None:
+                frames[name] = one.frame
+            monitor.restore(rig.topics[name], one.of_topic)
+        progress("tracking", len(observed) / len(names))
     return observed, frames
+
+
+@dataclass(frozen=True, eq=False)
+class _Observed:
+    """What one pass over the messages of a sensor yields."""
+
+    observations: SpaceObservations | Rejected
+    frame: str | None
+    """That its first message states; None where it has none."""
+    of_topic: TopicObservations
+
+
+def _observe_batch(shared: tuple[Rig, RecordingReference, int], names: Sequence[str]) -> dict[str, _Observed]:
+    """Reads the messages of some sensors, and finds what each measured."""
+    rig, reference, seed = shared
+    by_topic = {rig.topics[name]: name for name in names}
+    splitters = {name: CloudSplitter() for name in names}
+    frames: dict[str, str] = {}
+    with reference.open() as recording:
+        monitor = InputMonitor(rig, recording.start)
+        for record in monitor.observe(recording.records(list(by_topic))):
+            name, message = by_topic[record.topic], record.decode()
+            if isinstance(message, PointCloud):
+                frames.setdefault(name, message.frame_id)
+                splitters[name].add(message)
+    found = {}
+    for name in names:
+        rng = np.random.default_rng([seed, list(rig.sensors).index(name)])
+        spec = _lidar_spec(name, rig.sensors[name])
+        observations = observe_clouds(splitters.pop(name), spec, rig.settings.tracking, rng)
+        found[name] = _Observed(observations, frames.get(name), monitor.observations(rig.topics[name]))
+    return found
 
 
 def _lidar_spec(name: str, spec: SensorSpec) -> Lidar3dSpec:
@@ -153,6 +193,7 @@ def _solve(
     rig: Rig,
     measured: Mapping[str, SpaceObservations],
     start: SpaceStart,
+    engine: MapEngine,
     progress: Progress,
     earlier: ScannerPrior | None = None,
 ) -> SpaceSolution:
@@ -162,6 +203,7 @@ def _solve(
         list(start.states.values()),
         np.array([_state_stddev(rig, name) for name in names]),
         earlier and earlier.express_in(start.states[rig.root].T_root_sensor),
+        engine,
         lambda done: progress("solving", done),
     )
 
