@@ -23,7 +23,7 @@ _SPACING, _CEILING, _FURNITURE = 7.0, 5.0, (0.5, 1.8)
 _WALKERS = 0.4
 """For each LiDAR."""
 _HEIGHTS, _TILTS, _ROLL = (3.0, 4.0), (12.0, 22.0), 4.0
-"""Of LiDARs over the floor, m; angles of their axes from the vertical, and standard deviation of rolls, degrees."""
+"""Of LiDARs over the floor, m; their tilts from the vertical, and the standard deviation of rolls, degrees."""
 _POST, _WALL = 0.5, 0.16
 """Edge of a column, and thickness of walls at most, m: what is as thick reaches to the ceiling."""
 

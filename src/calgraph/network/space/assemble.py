@@ -30,7 +30,7 @@ from calgraph.solver.connected_parts import label_parts
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
-_ADVICE = "let people walk farther and in more directions where the views of LiDARs overlap"
+_ADVICE = "let people walk farther and in more directions between {} and {}"
 _RANGE_ADVICE = (
     "measure the range errors of the LiDARs at known distances, and state what is left in rig.yaml "
     "(uncertainty: range_scale, range_bias)"
@@ -91,7 +91,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
                 [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
-                advice=_RANGE_ADVICE if share[worst] > _LARGE_SHARE else _ADVICE,
+                advice=_RANGE_ADVICE if share[worst] > _LARGE_SHARE else _advise_walks(names, solution, k),
                 shares={_RANGES: share, _REST: 1 - share},
             )  # fmt: skip
         sensors.append(
@@ -160,6 +160,16 @@ def _build_views(
         points = thin_points(one.static.points) if isinstance(one, SpaceObservations) else np.zeros((0, 3))
         views.append(replace(view, points=points[:: len(points) // _MAX_POINTS + 1].astype(np.float32)))
     return tuple(views)
+
+
+def _advise_walks(names: Sequence[str], solution: SpaceSolution, k: int) -> str:
+    """Between sensor k and which other people should walk: the one with most common people, and nearest."""
+    common = np.zeros(len(names))
+    for one in solution.persons:
+        common[one.sensors] += k in one.sensors
+    places: Array = np.array([state.T_root_sensor[:3, 3] for state in solution.states])
+    order = np.lexsort((np.linalg.norm(places - places[k], axis=1), -common))
+    return _ADVICE.format(names[k], names[int(order[order != k][0])])
 
 
 def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
