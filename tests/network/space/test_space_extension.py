@@ -72,7 +72,7 @@ def test_a_planar_calibration_is_refused() -> None:
 
 def test_a_known_pose_is_held() -> None:
     """To 0.1 mm, where the recording alone places it 20 mm beside."""
-    scene = build_scene(0, duration=10.0)
+    scene = build_scene(0, duration=6.0, people=2)
     start = perturb(scene.truth, np.random.default_rng(1))
     alone = solve_space(scene.observations, start, prior_of(3))
     T = [state.T_root_sensor for state in scene.truth]
@@ -85,4 +85,5 @@ def test_a_known_pose_is_held() -> None:
     held = solve_space(scene.observations, start, prior_of(3), earlier)
     off = held.states[1].T_root_sensor[:3, 3] - known[:3, 3]
     assert np.abs(off).max() < 1e-3
-    assert np.all(np.diag(held.covariance)[:3] < np.diag(alone.covariance)[:3])
+    # After the bias and scale of the root.
+    assert np.all(np.diag(held.covariance)[2:8] < np.diag(alone.covariance)[2:8])
