@@ -35,8 +35,12 @@ _RANGE_ADVICE = (
     "measure the range errors of the LiDARs at known distances, and state what is left in rig.yaml "
     "(uncertainty: range_scale, range_bias)"
 )
-# Sources of uncertainty, and the share of ranges in the most uncertain axis with which they are what to improve.
-_RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
+_FLOOR_ADVICE = (
+    "let more of the floor be in the view of {}, and state the biases of its ranges (uncertainty: range_bias, "
+    "ring_bias)"
+)
+# Sources of uncertainty, of which the largest in the most uncertain axis is what to improve.
+_RANGES, _FLOOR, _REST = "range errors", "the floor", "walks and surfaces"
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
 # Agreement of maps below which nothing but people shows that a pose is right: of 20 right pairs in simulated halls
@@ -74,25 +78,32 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
     parents = find_parents(inliers, initial.names)
-    errors, known = _list_errors(rig, result)
+    errors, known, of_floor = _list_errors(rig, result)
     sensors = []
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
         T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
         if solution is not None and (k or rig.is_on_floor):
-            stddev, rest = (
-                stddev_along_axes(states[k].T_root_sensor, one[block, block]) for one in (errors, known)
+            stddev, rest, floor = (
+                stddev_along_axes(T_world_sensor, one[block, block]) for one in (errors, known, of_floor)
             )
-            share = 1 - (rest / stddev) ** 2
+            shares = {_RANGES: 1 - (rest / stddev) ** 2}
+            if rig.is_on_floor:
+                shares[_FLOOR] = (floor / stddev) ** 2
+            shares[_REST] = 1 - np.sum(list(shares.values()), axis=0)
             worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
+            largest = max(shares, key=lambda source: float(shares[source][worst]))
+            advice = {_RANGES: _RANGE_ADVICE, _FLOOR: _FLOOR_ADVICE.format(reference)}.get(
+                largest, _advise_walks(names, solution, k)
+            )
             verdict = grade_pose(
                 name, spec.kind, states[k].T_root_sensor, errors[block, block],
                 [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
-                advice=_RANGE_ADVICE if share[worst] > _LARGE_SHARE else _advise_walks(names, solution, k),
-                shares={_RANGES: share, _REST: 1 - share},
+                advice=advice,
+                shares=shares,
             )  # fmt: skip
         sensors.append(
             SensorPose(
@@ -194,16 +205,19 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     return reasons
 
 
-def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array]:
-    """Covariances (6S, 6S), along the axes of the world, of what is graded, and without errors of ranges."""
+def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array, Array]:
+    """Covariances (6S, 6S), in the world, of what is graded, of that without errors of ranges, and of the floor."""
     solution, reference = result.solution, result.observed[rig.reference]
+    nothing = np.zeros((6, 6))
     if solution is None:
-        return np.zeros((6, 6)), np.zeros((6, 6))
-    found = [express_in_root(solution, one, np.eye(4))[0] for one in (solution.covariance, solution.with_ranges)]
+        return nothing, nothing, nothing
+    found, known = (
+        express_in_root(solution, one, np.eye(4))[0] for one in (solution.covariance, solution.with_ranges)
+    )
+    of_floor = np.zeros_like(found)
     if rig.is_on_floor and isinstance(reference, SpaceObservations):
         of_floor = spread_floor([one.T_root_sensor for one in solution.states], reference.floor_covariance)
-        found = [one + of_floor for one in found]
-    return found[0], found[1]
+    return found + of_floor, known + of_floor, of_floor
 
 
 def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.network.space.person_batches import LocalPerson, find_columns, number_columns
 from calgraph.network.space.person_paths import SHAPE, BodyNoise, reduce_person
 from calgraph.network.space.persons import date_samples
@@ -38,14 +39,19 @@ def release_periods(
     K = max(int((end - begin) // PERIOD), 1)
     sensor, period, column = np.nonzero(np.repeat(free[:, None], K, axis=1))
     number, size = number_columns((sensor * K + period) * free.shape[1] + column, free.size * K)
-    H, g = np.zeros((size, size)), np.zeros(size)
+    g = np.zeros(size)
+    blocks: list[tuple[Array, Index, Index]] = []
     for one, some, times in zip(persons, own, dates, strict=True):
         of = np.clip((times - begin) // PERIOD, 0, K - 1).astype(np.intp)
         reduced = reduce_person(one.samples, some, noise, body, (one.samples.sensor * K + of, len(some) * K))
         in_periods = (one.sensors[:, None] * K + np.arange(K)).ravel()
         used, columns = find_columns(in_periods, number, free.shape[1])
-        H[np.ix_(columns, columns)] += reduced.information[np.ix_(used, used)]
+        block = reduced.information[np.ix_(used, used)]
+        row, other = np.nonzero(block)
+        blocks.append((block[row, other], columns[row], columns[other]))
         g[columns] += reduced.gradient[used]
+    values, row, other = (np.concatenate(one) for one in zip(*blocks, strict=True))
+    H = csr_array((values, (row, other)), shape=(size, size))
     P = int(free.sum())
     same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], P + np.arange(SHAPE))
     constant = np.full(SHAPE, -1)
