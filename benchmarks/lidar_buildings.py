@@ -120,12 +120,12 @@ def calibrate(place: Path, jobs: int, cluster: bool) -> Row:
 
 def format_row(row: Row) -> str:
     """The row of one size."""
-    seconds = "".join(
-        f"{value:11.1f}" for value in (*(row.seconds[one] for one in STAGES), sum(row.seconds.values()))
-    )
+    by_stage = [row.seconds[one] for one in STAGES]
+    seconds = "".join(f"{value:11.1f}" for value in (*by_stage, sum(row.seconds.values())))
     memories = "".join(f"{value:7.0f}" for value in row.memories)
     middle, most = np.median(row.errors, axis=0), row.errors[:, 0].max()
-    return f"{row.connected:7d}{seconds}{row.wall:8.1f}{memories}{middle[0]:7.1f}{most:7.1f}{middle[1]:7.3f}{row.nees:6.2f}  {row.mark}"
+    errors = f"{middle[0]:7.1f}{most:7.1f}{middle[1]:7.3f}{row.nees:6.2f}"
+    return f"{row.connected:7d}{seconds}{row.wall:8.1f}{memories}{errors}  {row.mark}"
 
 
 if __name__ == "__main__":

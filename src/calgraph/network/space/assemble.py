@@ -85,6 +85,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
         if solution is not None and (k or rig.is_on_floor):
+            T_world_sensor = states[k].T_root_sensor
             stddev, rest, floor = (
                 stddev_along_axes(T_world_sensor, one[block, block]) for one in (errors, known, of_floor)
             )
@@ -98,7 +99,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
                 largest, _advise_walks(names, solution, k)
             )
             verdict = grade_pose(
-                name, spec.kind, states[k].T_root_sensor, errors[block, block],
+                name, spec.kind, T_world_sensor, errors[block, block],
                 [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
@@ -206,7 +207,7 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
 
 
 def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array, Array]:
-    """Covariances (6S, 6S), in the world, of what is graded, of that without errors of ranges, and of the floor."""
+    """Covariances (6S, 6S), in the world, of what is graded, of it without errors of ranges, and of the floor."""
     solution, reference = result.solution, result.observed[rig.reference]
     nothing = np.zeros((6, 6))
     if solution is None:
