@@ -18,9 +18,9 @@ from calgraph.simulation.network_scenario import NetworkScenario, PeopleOptions
 from calgraph.simulation.network_simulation import build_network
 from calgraph.simulation.solids import BoxShape
 
-_SPACING, _CEILING, _FURNITURE = 7.0, 5.0, (0.5, 1.8)
+_SPACING, _CEILING, _FURNITURE = 10.0, 5.0, (0.5, 1.8)
 """Of LiDARs; heights of the ceiling and of furniture, m."""
-_WALKERS = 0.4
+_WALKERS = 0.8
 """For each LiDAR."""
 _HEIGHTS, _TILTS, _ROLL = (3.0, 4.0), (12.0, 22.0), 4.0
 """Of LiDARs over the floor, m; their tilts from the vertical, and the standard deviation of rolls, degrees."""
