@@ -35,6 +35,7 @@ _RANGE_ADVICE = (
     "measure the range errors of the LiDARs at known distances, and state what is left in rig.yaml "
     "(uncertainty: range_scale, range_bias)"
 )
+_WALK_IN = "let people walk from its view into those of its neighbours, with turns"
 _FLOOR_ADVICE = (
     "let more of the floor be in the view of {}, and state the biases of its ranges (uncertainty: range_bias, "
     "ring_bias)"
@@ -142,7 +143,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             edges=tuple(build_edge(pair, found, poses, parents) for pair, found in initial.pairs.items()),
             captures=build_walk_rows(samples, matches, result.begin),
             unconnected={
-                name: explain_unconnected(name, reference, tracked, initial.pairs)
+                name: f"{explain_unconnected(name, reference, tracked, initial.pairs)}; {_WALK_IN}"
                 for name in rig.sensors
                 if name not in names
             },

@@ -220,7 +220,7 @@ def _add_poses(
     earlier: ScannerPrior, states: Sequence[SensorState], free: NDArray[np.bool_], H: Array, g: Array
 ) -> None:
     """Adds what is known of poses to the equations of free states (S, 12), in place."""
-    T: Array = np.array([states[k].T_root_sensor for k in earlier.nodes])
+    T = np.reshape([states[k].T_root_sensor for k in earlier.nodes], (-1, 4, 4))
     rows = (np.cumsum(free.ravel()).reshape(free.shape) - 1)[earlier.nodes, :6].ravel()
     H[np.ix_(rows, rows)] += earlier.information
     g[rows] += earlier.information @ se_n.difference(T, earlier.T_root_scanner).ravel()

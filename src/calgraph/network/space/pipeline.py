@@ -119,8 +119,9 @@ def _observe(
     Each call reads the recording by itself, as with scanners: passing over the messages of others takes little.
     """
     names, engine = list(rig.sensors), options.engine
-    batches = -(-len(names) // (_BATCHES_PER_WORKER * max(engine.workers, 1)))
-    size = min(_MAX_TOGETHER, batches) if len(names) > 1 else 1
+    # One worker reads as many together as it may.
+    batches = _BATCHES_PER_WORKER * engine.workers if engine.workers > 1 else 1
+    size = min(_MAX_TOGETHER, -(-len(names) // batches))
     parts = [names[k : k + size] for k in range(0, len(names), size)]
     shared = Kept.of((rig, refer_to(recording, rig.settings.limits), options.seed))
     observed: dict[str, SpaceObservations | Rejected] = {}
