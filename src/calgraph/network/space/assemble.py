@@ -143,7 +143,8 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             edges=tuple(build_edge(pair, found, poses, parents) for pair, found in initial.pairs.items()),
             captures=build_walk_rows(samples, matches, result.begin),
             unconnected={
-                name: f"{explain_unconnected(name, reference, tracked, initial.pairs)}; {_WALK_IN}"
+                name: explain_unconnected(name, reference, tracked, initial.pairs)
+                + (f"; {_WALK_IN}" if isinstance(tracked[name], ScannerTracks) else "")
                 for name in rig.sensors
                 if name not in names
             },
