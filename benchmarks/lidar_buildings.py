@@ -28,7 +28,7 @@ from calgraph.parallel.engine import Processes
 from calgraph.parallel.open_cluster import open_cluster
 from calgraph.recording import open_recordings
 from calgraph.simulation.hall_recording import record_hall
-from calgraph.simulation.hall_scenario import HallScenario
+from calgraph.simulation.hall_scenario import HallScenario, LidarModel
 from calgraph.simulation.truth import load_truth
 from network_stages import Stopwatch, fit_slope
 from process_costs import in_process, measure_peak_memories
@@ -85,7 +85,8 @@ def main() -> None:
 
 def simulate(place: Path, count: int, duration: float) -> None:
     """Writes the recording of a building."""
-    scenario = HallScenario(SEED, duration, ("slow16",) * count, building=True)
+    lidars: tuple[LidarModel, ...] = ("slow16",) * count
+    scenario = HallScenario(SEED, duration, lidars, building=True)
     record_hall(scenario, place, lambda _done, _total: None)
 
 
@@ -101,7 +102,7 @@ def calibrate(place: Path, jobs: int, cluster: bool) -> Row:
         found = calibrate_network(rig, recording, NetworkOptions(engine=engine), clock.progress)
     clock.lap("assembling")
     truth = load_truth(place / "truth.yaml").T_root_sensor
-    errors = np.array([se3.difference(one.T_root_sensor, truth[one.name]) for one in found.sensors[1:]])
+    errors = np.reshape([se3.difference(one.T_root_sensor, truth[one.name]) for one in found.sensors[1:]], (-1, 6))
     squares = [
         error @ np.linalg.solve(one.covariance, error) / 6
         for error, one in zip(errors, found.sensors[1:], strict=True)

@@ -1,5 +1,7 @@
 """Equations of persons with their sensors only: those of the whole network, on any engine."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from calgraph.network.space.person_batches import LocalPerson, add_persons, reduce_persons
@@ -38,3 +40,19 @@ def test_equations_have_the_same_bits_in_other_processes() -> None:
     for one, other in zip(here, there, strict=True):
         np.testing.assert_array_equal(one.information, other.information)
         np.testing.assert_array_equal(one.scores, other.scores)
+
+
+def test_equations_have_the_same_bits_with_poses_that_are_not_aligned() -> None:
+    """As arrays of a few numbers are that come from the scheduler of a cluster."""
+    scene = build_scene(0, duration=6.0, people=3)
+    persons = [LocalPerson.of(one) for one in find_persons(gather_samples(scene.observations), scene.truth, 0.5)]
+    moved = []
+    for state in scene.truth:
+        T = np.ndarray((4, 4), buffer=bytearray(129), offset=1)
+        T[...] = state.T_root_sensor
+        moved.append(replace(state, T_root_sensor=T))
+    here, there = (
+        reduce_persons(persons, states, NOISE, SHARED_MEAN, THIS_PROCESS) for states in (scene.truth, moved)
+    )
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_array_equal(one.information, other.information)

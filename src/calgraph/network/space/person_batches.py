@@ -55,7 +55,15 @@ def reduce_persons(
 ) -> list[PersonEquations]:
     """The equations of each person, of the states of its sensors; for the arguments see :func:`reduce_person`."""
     work = [(one.kept, [states[k] for k in one.sensors], noise, body) for one in persons]
-    return list(engine.map(reduce_person, work))
+    return list(engine.map(_reduce_aligned, work))
+
+
+def _reduce_aligned(
+    samples: BodySamples, states: Sequence[SensorState], noise: BodyNoise, body: Array
+) -> PersonEquations:
+    """The equations of a person; arrays that come from elsewhere need not be aligned, and round differently then."""
+    aligned = [replace(state, T_root_sensor=state.T_root_sensor.copy()) for state in states]
+    return reduce_person(samples, aligned, noise, body)
 
 
 def add_persons(
