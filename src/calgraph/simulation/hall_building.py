@@ -14,6 +14,7 @@ from calgraph.simulation.hall_mounts import HallMount, draw_clock, draw_columns
 from calgraph.simulation.hall_people import add_person
 from calgraph.simulation.hall_scenario import HallScenario
 from calgraph.simulation.hall_world import Hall
+from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_scenario import NetworkScenario, PeopleOptions
 from calgraph.simulation.network_simulation import build_network
 from calgraph.simulation.solids import BoxShape
@@ -47,7 +48,14 @@ def build_building(scenario: HallScenario) -> tuple[Hall, tuple[HallMount, ...]]
     surfaces = (room, *(_raise(one, rng) for one in network.floor.obstacles))
     movers = tuple(add_person(walk, people, _lie_level, people_rng) for walk in network.walks)
     mounts = []
-    for k, (sensor, scanner) in enumerate(zip(scenario.sensors, network.scanners, strict=True)):
+    passed = np.concatenate([walk.positions for walk in network.walks])
+
+    def count_near(scanner: StationaryScanner) -> int:
+        return int(np.sum(np.linalg.norm(passed - scanner.T_world_scanner[:2, 2], axis=1) < _SPACING))
+
+    # The root is where most people are.
+    scanners = sorted(network.scanners, key=count_near, reverse=True)
+    for k, (sensor, scanner) in enumerate(zip(scenario.sensors, scanners, strict=True)):
         clock = draw_clock(scenario, sensor, k == 0, rng)
         T = scanner.T_world_scanner
         turn = [np.arctan2(T[1, 0], T[0, 0]), np.radians(rng.uniform(*_TILTS)), np.radians(rng.normal(0, _ROLL))]
