@@ -61,7 +61,7 @@ def reduce_persons(
 def _reduce_aligned(
     samples: BodySamples, states: Sequence[SensorState], noise: BodyNoise, body: Array
 ) -> PersonEquations:
-    """The equations of a person. Poses that come from elsewhere need not be aligned: they would round differently."""
+    """The equations of a person; poses from elsewhere need not be aligned, and would round differently."""
     aligned = [replace(state, T_root_sensor=state.T_root_sensor.copy()) for state in states]
     return reduce_person(samples, aligned, noise, body)
 
