@@ -85,8 +85,8 @@ def main() -> None:
 
 def simulate(place: Path, count: int, duration: float) -> None:
     """Writes the recording of a building."""
-    lidars: tuple[LidarModel, ...] = ("slow16",) * count
-    scenario = HallScenario(SEED, duration, lidars, building=True)
+    model: LidarModel = "slow16"
+    scenario = HallScenario(SEED, duration, (model,) * count, building=True)
     record_hall(scenario, place, lambda _done, _total: None)
 
 
