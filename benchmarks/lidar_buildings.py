@@ -1,6 +1,6 @@
 """Time, memory and errors of networks of many 3-D LiDARs: a floor of bays with one LiDAR of 16 rings in each.
 
-Eight walkers for ten LiDARs 10 m apart, sweeps at 5 Hz, as rosbag2. Seconds are of processors, of all processes
+Eight walkers for ten LiDARs 7 m apart, sweeps at 5 Hz, as rosbag2. Seconds are of processors, of all processes
 together, by stage; memory is the most of the calibrating process, and of any other. After the table is the
 exponent of the processor time over the number of LiDARs. Poses and covariances with the same bits have the same
 mark.

@@ -19,7 +19,7 @@ from calgraph.simulation.network_scenario import NetworkScenario, PeopleOptions
 from calgraph.simulation.network_simulation import build_network
 from calgraph.simulation.solids import BoxShape
 
-_SPACING, _CEILING, _FURNITURE = 10.0, 5.0, (0.5, 1.8)
+_SPACING, _CEILING, _FURNITURE = 7.0, 5.0, (0.5, 1.8)
 """Of LiDARs; heights of the ceiling and of furniture, m."""
 _WALKERS = 0.8
 """For each LiDAR."""
