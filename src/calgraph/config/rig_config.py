@@ -15,7 +15,7 @@ from calgraph.io.strict_model import StrictModel, invalid, limit_to
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.sensors import CameraModel
-from calgraph.sensors.kinds import KINDS, CameraSpec, SensorSpec, TrajectorySpec
+from calgraph.sensors.kinds import FLOOR, KINDS, CameraSpec, Lidar3dSpec, SensorSpec, TrajectorySpec
 from calgraph.sensors.kinds.stated import Name
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
@@ -74,7 +74,8 @@ class Rig(StrictModel):
     """A whole rig.yaml."""
 
     root: str
-    """The sensor whose frame everything is expressed in."""
+    """The sensor whose frame everything is expressed in; or ``floor`` of a network of 3-D LiDARs: z up, the origin
+    below the first of them, and x along its heading."""
     target: Target
     """A board (calgraph board prints it), people, a cylinder, or {kind: surroundings} for a robot that drives."""
     base: Base | None = None
@@ -90,7 +91,10 @@ class Rig(StrictModel):
 
     @model_validator(mode="after")
     def _root_exists(self) -> "Rig":
-        if self.root not in self.sensors:
+        if self.is_on_floor:
+            if not self.is_network or self.reference == self.root:
+                raise invalid("root", f"{FLOOR.name!r} needs 3-D LiDARs in target: {{kind: people}}")
+        elif self.root not in self.sensors:
             close = get_close_matches(self.root, self.sensors, n=1)
             hint = (
                 f"did you mean {close[0]!r}?"
@@ -151,7 +155,7 @@ class Rig(StrictModel):
                 raise invalid(key, f"must be one of {allowed} with surroundings, got {sensor.kind}")
             if not self.is_drive and KINDS[sensor.kind].detects == "motion":
                 raise invalid(key, f"needs target: {{kind: surroundings}}, a robot that drives, got {sensor.kind}")
-        if self.sensors[self.root].kind == "gyroscope":
+        if self.sensors[self.reference].kind == "gyroscope":
             raise invalid("root", f"must be a sensor with a trajectory, got the gyroscope {self.root!r}")
         if self.is_drive and self.cameras() and not self.boards:
             cameras = ", ".join(self.cameras())
@@ -170,6 +174,17 @@ class Rig(StrictModel):
     def _boards_are_distinguishable(self) -> "Rig":
         check_boards_distinguishable(self.boards)
         return self
+
+    @property
+    def is_on_floor(self) -> bool:
+        """Whether the root is the floor, no sensor."""
+        return self.root == FLOOR.name and self.root not in self.sensors
+
+    @property
+    def reference(self) -> str:
+        """The sensor that others are solved against: the root, or the first 3-D LiDAR where that is the floor."""
+        lidars = (name for name, spec in self.sensors.items() if isinstance(spec, Lidar3dSpec))
+        return next(lidars, self.root) if self.is_on_floor else self.root
 
     @property
     def is_network(self) -> bool:

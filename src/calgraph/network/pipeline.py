@@ -8,12 +8,12 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
-from calgraph.errors import CalibrationError, InputError, Rejected
+from calgraph.errors import InputError, Rejected
 from calgraph.network.checks.assemble import assemble_network
 from calgraph.network.checks.extension import (
     build_consistent_prior,
     extract_earlier_poses,
-    merge_calibrations,
+    merge_with_earlier,
     remove_scanners,
 )
 from calgraph.network.checks.findings import collect_network_findings
@@ -22,6 +22,7 @@ from calgraph.network.checks.moved_scanners import compare_network_poses
 from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
+from calgraph.network.joint.planar_poses import NetworkPoses, complete_covariance
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
@@ -56,12 +57,12 @@ def calibrate_network(
     in_space = has_lidars(rig)
     if in_space:
         check_space(rig, options)
-    _calibration_to_extend(rig, options)
+    earlier = _calibration_to_extend(rig, options)
     check_sensor_topics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
     recording, offsets, corrected = correct_clocks(rig, recording, options.cache)
     if in_space:
-        calibration = calibrate_in_space(rig, recording, options, monitor, corrected, progress)
+        calibration = calibrate_in_space(rig, recording, options, earlier, monitor, corrected, progress)
         return add_clock_offsets(calibration, rig, offsets)
     tracks, frames, findings = track_with_beam_times(rig, recording, options, progress, monitor)
     tracks = forget_unused_beams(rig, tracks)
@@ -120,7 +121,7 @@ def calibrate_tracks(
                     rig, tracks, corrected, initialization, joint,
                     frames=frames or {}, start=start, findings=findings, extends=earlier is not None,
                 )  # fmt: skip
-                return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
+                return merge_with_earlier(calibration, earlier, prior) if earlier else calibration
         name, step = bump
         tracks = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
 
@@ -163,7 +164,9 @@ def _solve_jointly(
     if earlier is None:
         return joint, None
     poses = extract_earlier_poses(earlier, rig.root)
-    prior = build_consistent_prior(poses, names, joint, rig.settings.diagnostics)
+    covariance = complete_covariance(joint.pose_covariance)
+    found = NetworkPoses(tuple(names), joint.T_root_scanner, covariance)
+    prior = build_consistent_prior(poses, found, rig.settings.diagnostics)
     return solution(prior=prior), prior
 
 
@@ -228,7 +231,7 @@ def _calibration_to_extend(rig: Rig, options: NetworkOptions) -> Calibration | N
     """The calibration to extend, without the scanners that have moved since."""
     if options.extend is None:
         return None
-    extract_earlier_poses(options.extend, rig.root)
+    extract_earlier_poses(options.extend, rig.root, in_space=has_lidars(rig))
     return remove_scanners(options.extend, options.moved)
 
 
@@ -259,12 +262,3 @@ def _select_after(
 
 def _first_time(tracked: Mapping[str, ScannerTracks]) -> float:
     return min((float(track.times[0]) for scanner in tracked.values() for track in scanner.tracks), default=0.0)
-
-
-def _merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None) -> Calibration:
-    if prior is None:
-        why = "; ".join(f"{name}: {reason}" for name, reason in calibration.evidence.unconnected.items())
-        raise CalibrationError(
-            f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
-        )
-    return merge_calibrations(calibration, earlier, prior)

@@ -6,11 +6,13 @@ from typing import Literal
 from calgraph.errors import InputError
 from calgraph.simulation.drive_scenario import DriveSensor, RangeErrors
 
-LidarModel = Literal["vlp16", "xt32", "solid_state"]
+LidarModel = Literal["vlp16", "xt32", "solid_state", "slow16"]
 LIDAR_MODELS: dict[LidarModel, DriveSensor] = {
     # 16 rings 2 degrees apart and 32 rings 1 degree apart.
     "vlp16": DriveSensor("", "lidar", sector=359.6, step=0.4, rings=16, elevation=15.0, max_range=80.0),
     "xt32": DriveSensor("", "lidar", sector=359.6, step=0.4, rings=32, elevation=15.5, max_range=80.0),
+    # Of networks with many LiDARs.
+    "slow16": DriveSensor("", "lidar", 0.0, 359.6, 5.0, 0.6, 16, 15.0, max_range=30.0),
     # A raster of 70 by 40 degrees, column by column.
     "solid_state": DriveSensor(
         "", "solid_state", sector=70.0, step=0.4, rings=101, elevation=20.0, max_range=60.0
@@ -56,6 +58,8 @@ class HallScenario:
     """The first is the root."""
     scanners: tuple[float, ...] = ()
     """Heights of 2-D scanners over the floor, m."""
+    building: bool = False
+    """Whether it is a building of many bays with one LiDAR each, and not a hall; people are as many as fit it."""
     people: int = 3
     couples: int = 0
     """Pairs among them, who walk side by side."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index
@@ -27,7 +28,7 @@ _CHANGE_INFORMATION = 1.0
 class PeriodEquations:
     """Normal equations of R numbers, most of which are values in one of K periods; all else is eliminated."""
 
-    information: Array
+    information: Array | csr_array
     """(R, R)."""
     gradient: Array
     """(R,)."""
@@ -66,7 +67,7 @@ class ChangeTest:
 
 
 def search_changes(
-    equations: PeriodEquations, directions: Sequence[Array], most: int, false_alarm_probability: float
+    equations: PeriodEquations, directions: Sequence[Array | csr_array], most: int, false_alarm_probability: float
 ) -> Iterator[tuple[int, list[ChangeTest]]]:
     """The significant changes, each searched beside those before it: its number, and the tests of all.
 
@@ -84,28 +85,28 @@ def search_changes(
         # What explains most: beside a change whose time is between periods, others have less scatter.
         best = max(significant, key=lambda k: tests[k].gain / tests[k].limit)
         yield best, tests
-        equations = equations.with_change(directions[best])
+        equations = equations.with_change(_to_dense(directions[best]))
 
 
 def _test_changes(
-    equations: PeriodEquations, directions: Sequence[Array], false_alarm_probability: float
+    equations: PeriodEquations, directions: Sequence[Array | csr_array], false_alarm_probability: float
 ) -> list[ChangeTest]:
     """Rao's tests of changes beside the model."""
-    H, A = equations.information, equations.model
+    H, A = equations.information, csr_array(equations.model)
     HA = H @ A
-    factor = cho_factor(A.T @ HA + np.diag(equations.prior_information))
+    factor = cho_factor(_to_dense(A.T @ HA) + np.diag(equations.prior_information))
     # What is left to the minimum without a change.
     rest = -cho_solve(factor, A.T @ equations.gradient + equations.prior_gradient)
     g = equations.gradient + HA @ rest
     own = np.flatnonzero(equations.period >= 0)
     K = int(equations.period.max()) + 1
     tests = []
-    for direction in directions:
+    for direction in map(_to_dense, directions):
         # The change, with the model following it.
         rows = np.flatnonzero(direction.any(axis=1))
         moved = direction[rows]
         follow = cho_solve(factor, HA[rows].T @ moved)
-        D, HD = direction - A @ follow, H[:, rows] @ moved - HA @ follow
+        D, HD = direction - A @ follow, H[rows].T @ moved - HA @ follow
         information = direction.T @ HD
         measured = max(int(np.sum(np.diag(information) > _CHANGE_INFORMATION)), 1)
         information += _CHANGE_INFORMATION * np.eye(len(information))
@@ -119,3 +120,7 @@ def _test_changes(
         gain = float(-gradient @ size)
         tests.append(ChangeTest(gain, gain / scatter, limit, size))
     return tests
+
+
+def _to_dense(matrix: Array | csr_array) -> Array:
+    return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index
 
@@ -89,11 +90,11 @@ def label_rings(sensor: Index, points: Array) -> Index:
     return np.asarray(sensor * (int(np.pi / _ROW) + 2) + row)
 
 
-def sum_clusters(scores: Array, label: Index) -> Array:
+def sum_clusters(scores: Array | csr_array, label: Index) -> Array:
     """(K, P) sums of scores (N, P) by label (N,)."""
-    sums = np.zeros((int(label.max(initial=-1)) + 1, scores.shape[1]))
-    np.add.at(sums, label, scores)
-    return sums
+    shape = int(label.max(initial=-1)) + 1, len(label)
+    sums = csr_array((np.ones(len(label)), (label, np.arange(len(label)))), shape=shape) @ scores
+    return np.asarray(sums if isinstance(sums, np.ndarray) else sums.toarray())
 
 
 def _sum_squares(sums: Array) -> Array:

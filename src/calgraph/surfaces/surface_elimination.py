@@ -79,6 +79,17 @@ class PointScores:
         change = self.derivatives @ directions - np.einsum("nj,njp->np", self.patch, moved[self.surface])
         return np.asarray(change * self.force[:, None])
 
+    def sum_by(self, label: Index) -> Array:
+        """(K, C + P) sums of all contributions by label (N,)."""
+        N, n = self.patch.shape
+        shape, points = (int(label.max(initial=-1)) + 1, N), np.arange(N)
+        gather = csr_array((self.force, (label, points)), shape=shape)
+        column = self.surface[:, None] * n + np.arange(n)
+        patches = csr_array(
+            (self.patch.ravel(), (np.repeat(points, n), column.ravel())), shape=(N, self.response.shape[0])
+        )
+        return np.asarray((gather @ self.derivatives - (gather @ patches) @ self.response).toarray())
+
 
 # Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
 _START_WHITE, _START_VIEW = 0.02, 0.01

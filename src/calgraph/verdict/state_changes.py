@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, se_n
 from calgraph.result.finding import Finding
@@ -90,7 +91,7 @@ class _Candidate:
     kind: Kind
     time: float | None
     """Of a step, s."""
-    direction: Array
+    direction: csr_array
     """(R, c) by which the states in all periods change with it."""
 
 
@@ -111,7 +112,7 @@ def _list_candidates(
             for time, function in functions:
                 direction = np.zeros((rows, by_state.shape[1]))
                 direction[: len(period)] = by_state * function[period, None]
-                found.append(_Candidate(sensor, kind, time, direction))
+                found.append(_Candidate(sensor, kind, time, csr_array(direction)))
     return found
 
 

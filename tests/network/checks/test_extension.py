@@ -16,13 +16,11 @@ from calgraph.network.checks.extension import (
     remove_scanners,
 )
 from calgraph.network.joint.error_sources import EARLIER
-from calgraph.network.joint.estimate import NetworkSolution
-from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses
+from calgraph.network.joint.planar_poses import NetworkPoses, extract_planar_poses
 from calgraph.network.joint.scanner_matrix import ScannerMatrix
 from calgraph.network.joint.scanner_order import ScannerOrder
 from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, Edge, ErrorBudget, ErrorSource, Verdict
-from dense_covariances import relate_all
 from known_networks import calibration, four_scanners
 
 SETTINGS = DiagnosticsSettings()
@@ -72,7 +70,7 @@ def test_errors_of_kept_and_estimated_scanners_are_correlated() -> None:
     posterior = np.linalg.inv(prior.information + np.linalg.inv(measured))
     spread = np.zeros((9, 9))
     spread[3:, 3:] = posterior
-    found = calibration(PlanarPoses(("a", "b", "c"), poses.T_root_scanner[:3], spread))
+    found = calibration(NetworkPoses(("a", "b", "c"), poses.T_root_scanner[:3], spread))
     together = extract_planar_poses(merge_calibrations(found, calibration(poses), prior)).covariance[3:, 3:]
 
     old = rng.multivariate_normal(np.zeros(9), poses.covariance[3:, 3:], 4000)
@@ -150,22 +148,14 @@ def test_edges_are_those_of_the_recording_and_others_between_kept_scanners() -> 
     assert edges == [("a", "b", 10), ("c", "d", 8)]
 
 
-def solve(poses: PlanarPoses) -> NetworkSolution:
-    """A solution with given poses, and standard deviations of 1 mm and 0.1 mrad."""
-    count = len(poses.names)
-    covariance = np.diag(np.tile([1e-6, 1e-6, 1e-8, 1e-6], count))
-    covariance[:4] = 0
-    return NetworkSolution(poses.T_root_scanner, np.zeros(count), relate_all(covariance, count))
-
-
-def known_to_millimetres(rng: np.random.Generator) -> PlanarPoses:
-    poses = four_scanners(rng)
-    return replace(poses, covariance=solve(poses).pose_covariance)
+def known_to_millimetres(rng: np.random.Generator) -> NetworkPoses:
+    """With standard deviations of 1 mm and 0.1 mrad."""
+    return replace(four_scanners(rng), covariance=np.diag([0.0] * 3 + 3 * [1e-6, 1e-6, 1e-8]))
 
 
 def test_a_recording_that_agrees_gives_the_earlier_poses_as_a_prior(rng: np.random.Generator) -> None:
     earlier = known_to_millimetres(rng)
-    prior = build_consistent_prior(earlier, ("a", "b", "c"), solve(earlier.select(("a", "b", "c"))), SETTINGS)
+    prior = build_consistent_prior(earlier, earlier.select(("a", "b", "c")), SETTINGS)
     np.testing.assert_array_equal(prior.T_root_scanner, earlier.T_root_scanner[1:3])
 
 
@@ -176,9 +166,9 @@ def test_moved_scanners_are_named_with_advice(moved: int, advice: str, rng: np.r
     earlier = known_to_millimetres(rng)
     T = earlier.T_root_scanner.copy()
     T[moved, :2, 2] += [0.03, 0.04]
-    solution = solve(replace(earlier, T_root_scanner=se2.inverse(T[0]) @ T))
+    found = replace(earlier, T_root_scanner=se2.inverse(T[0]) @ T)
     with pytest.raises(CalibrationError, match=rf"{earlier.names[moved]} has moved by 50\.0 mm .*{advice}"):
-        build_consistent_prior(earlier, earlier.names, solution, SETTINGS)
+        build_consistent_prior(earlier, found, SETTINGS)
 
 
 def test_edges_of_removed_scanners_are_removed() -> None:

@@ -10,7 +10,7 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import se2, so3
 from calgraph.network.checks.moved_scanners import compare_network_poses
-from calgraph.network.joint.planar_poses import PlanarPoses
+from calgraph.network.joint.planar_poses import NetworkPoses
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
 from calgraph.verdict.comparison import ExtrinsicsComparison
@@ -21,15 +21,15 @@ SIGMA = np.array([0.001, 0.001, 0.0001])
 TOLERANCE = Tolerance(translation=0.01, rotation=0.3)
 
 
-def estimated(scale: float = 1.0) -> PlanarPoses:
+def estimated(scale: float = 1.0) -> NetworkPoses:
     """Poses with standard deviations of 1 mm and 0.1 mrad times ``scale``."""
     T = se2.pose(np.arange(6.0), np.column_stack([2.0 * np.arange(6), np.arange(6) % 2 * 3.0]))
     covariance = np.diag(np.tile(np.square(scale * SIGMA), 6))
     covariance[:3] = 0
-    return PlanarPoses(NAMES, T, covariance)
+    return NetworkPoses(NAMES, T, covariance)
 
 
-def compare(poses: PlanarPoses, step: tuple[float, float, float], earlier: float = 0.0) -> ExtrinsicsComparison:
+def compare(poses: NetworkPoses, step: tuple[float, float, float], earlier: float = 0.0) -> ExtrinsicsComparison:
     """Compares poses with given ones, of which c differs by a step in the root's axes.
 
     Args:

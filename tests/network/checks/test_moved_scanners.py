@@ -8,7 +8,7 @@ import pytest
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.checks.moved_scanners import _MAX_SETS, MovedScanner, find_moved_scanners
-from calgraph.network.joint.planar_poses import PlanarPoses
+from calgraph.network.joint.planar_poses import NetworkPoses
 from calgraph.verdict.displaced_nodes import find_displaced_nodes
 
 CHANCE = 1e-3
@@ -17,19 +17,19 @@ MAX_SETS = _MAX_SETS
 NAMES = ("a", "b", "c", "d", "e", "f")
 
 
-def random_network(rng: np.random.Generator, count: int = 6) -> PlanarPoses:
+def random_network(rng: np.random.Generator, count: int = 6) -> NetworkPoses:
     """Poses some metres apart, with correlated errors of millimetres."""
     T = se2.pose(rng.uniform(-3, 3, count), rng.uniform(-6, 6, (count, 2)))
     T[0] = np.eye(3)
     mixed = rng.normal(0, 1, (3 * count, 3 * count)) * np.tile([2e-3, 2e-3, 3e-4], count)[:, None] / 4
     spread = mixed @ mixed.T + np.diag(np.tile([1e-3, 1e-3, 1e-4], count) ** 2)
     spread[:3] = spread[:, :3] = 0
-    return PlanarPoses(NAMES[:count], T, spread)
+    return NetworkPoses(NAMES[:count], T, spread)
 
 
 def measure_again(
-    poses: PlanarPoses, rng: np.random.Generator, moved: dict[int, Array] | None = None
-) -> PlanarPoses:
+    poses: NetworkPoses, rng: np.random.Generator, moved: dict[int, Array] | None = None
+) -> NetworkPoses:
     """The poses estimated from another recording, some of them moved by a step in the root's axes."""
     T = poses.T_root_scanner.copy()
     for node, step in (moved or {}).items():
@@ -38,7 +38,7 @@ def measure_again(
     spread = 2 * poses.covariance
     error = rng.multivariate_normal(np.zeros(len(spread)), spread).reshape(-1, 3)
     # The error of both recordings is added to one of them.
-    return PlanarPoses(poses.names, se2.retract(T, error), poses.covariance)
+    return NetworkPoses(poses.names, se2.retract(T, error), poses.covariance)
 
 
 def test_the_false_alarm_probability_is_as_stated() -> None:

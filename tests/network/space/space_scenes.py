@@ -65,7 +65,7 @@ def build_scene(
             tracks = [replace(track, centers=_flatten(track.centers)) for track in tracks]
         observations.append(
             SpaceObservations(
-                np.eye(4), np.zeros(3), static, np.zeros(0, dtype=np.bool_), tuple(tracks),
+                np.eye(4), np.zeros((3, 3)), static, np.zeros(0, dtype=np.bool_), tuple(tracks),
                 np.array([[0.0, duration]]), flat=flat,
             )
         )  # fmt: skip

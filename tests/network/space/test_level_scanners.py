@@ -67,7 +67,7 @@ def test_a_stated_height_is_that_over_a_floor_that_is_measured(place: float, kno
     T = se3.pose(np.eye(3), np.array([place, 0.0, 0.4]))
     state, found = stand_on_floor(SensorState(T), scanner, [(SensorState(np.eye(4)), lidar)])
     assert state.T_root_sensor[2, 3] == pytest.approx(0.7 if known else 0.4)
-    assert (found.floor_stddev[2] < 0.1) == known
+    assert (found.floor_covariance[2, 2] < 0.1**2) == known
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from calgraph.config import Rig
@@ -10,7 +9,6 @@ from calgraph.errors import InputError
 from calgraph.live.live_rig import prepare_live_rig
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.pipeline import check_space
-from calgraph.result import Calibration
 
 
 def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
@@ -36,11 +34,6 @@ def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
             rig_of(),
             NetworkOptions(estimator="averaging"),
             "`estimator`: must be joint for a network of 3-D LiDARs, got averaging",
-        ),
-        (
-            rig_of(),
-            NetworkOptions(extend=Calibration("sensor_0", (), np.zeros((0, 0)))),
-            "`extend`: is of networks of 2-D scanners alone as yet",
         ),
     ],
 )

@@ -47,8 +47,9 @@ def test_the_floor_levels_a_tilted_sensor_within_its_stddev(target: list[float],
     lidar = Lidar(mount(np.array([0.6, 0.7, 3.4]), np.array(target), roll), 32)
     found = observe(hall, lidar, rng)
     error = floor_error(found, lidar)
-    assert np.all(np.abs(error) < 3 * found.floor_stddev)
-    assert np.all(found.floor_stddev < [2e-3, 2e-3, 0.03])
+    stddev = np.sqrt(np.diag(found.floor_covariance))
+    assert np.all(np.abs(error) < 3 * stddev)
+    assert np.all(stddev < [2e-3, 2e-3, 0.03])
     heights = se3.apply(lidar.T_world_sensor, found.static.points[found.floor_points])[:, 2]
     assert np.quantile(np.abs(heights), 0.99) < 0.06
 

@@ -10,29 +10,26 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array
 from calgraph.network.checks.moved_scanners import find_moved_scanners
 from calgraph.network.joint.error_sources import EARLIER
-from calgraph.network.joint.estimate import NetworkSolution
-from calgraph.network.joint.planar_poses import (
-    PlanarPoses,
-    complete_covariance,
-    extract_planar_poses,
-    lift_covariance,
-)
+from calgraph.network.joint.planar_poses import NetworkPoses, extract_planar_poses, extract_poses, lift_covariance
 from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, ErrorBudget, SensorPose, Verdict
 
 
-def extract_earlier_poses(earlier: Calibration, root: str) -> PlanarPoses:
+def extract_earlier_poses(earlier: Calibration, root: str, *, in_space: bool = False) -> NetworkPoses:
     """The poses of an earlier calibration of a network with this root.
 
     Raises:
-        InputError: it has another root, or is not the calibration of a network.
+        InputError: it has another root, or is not the calibration of a network of this kind.
     """
     if earlier.root != root:
         raise InputError(
             f"`extend`: its poses are in the frame of {earlier.root}, not {root}; "
             f"set root: {earlier.root} in rig.yaml"
         )
-    return extract_planar_poses(earlier, "`extend`: ")
+    poses = extract_poses(earlier, "`extend`: ") if in_space else extract_planar_poses(earlier, "`extend`: ")
+    if in_space and poses.size == 3:
+        raise InputError("`extend`: needs the calibration of a network of 3-D LiDARs, as this one is")
+    return poses
 
 
 def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
@@ -69,21 +66,19 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
 
 
 def build_consistent_prior(
-    earlier: PlanarPoses, names: Sequence[str], solution: NetworkSolution, settings: DiagnosticsSettings
+    earlier: NetworkPoses, found: NetworkPoses, settings: DiagnosticsSettings
 ) -> ScannerPrior:
     """The prior of earlier poses, provided that the recording alone does not contradict them.
 
     Args:
         earlier: the earlier poses.
-        names: scanners of the recording, the root first.
-        solution: their joint solution from the recording alone.
+        found: the poses of the scanners of the recording, from it alone.
         settings: of the test.
 
     Raises:
         CalibrationError: scanners have moved since; the message names them with their displacements.
     """
-    covariance = complete_covariance(solution.pose_covariance)
-    found = PlanarPoses(tuple(names), solution.T_root_scanner, covariance)
+    names = found.names
     shared = [name for name in names if name in earlier.names]
     reference, moved = find_moved_scanners(earlier.select(shared), found, settings)
     if moved:
@@ -101,6 +96,20 @@ def build_consistent_prior(
     return build_scanner_prior(earlier, names)
 
 
+def merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None) -> Calibration:
+    """A calibration with the scanners that only the earlier one has.
+
+    Raises:
+        CalibrationError: nothing is connected to the root, so that there is no prior.
+    """
+    if prior is None:
+        why = "; ".join(f"{name}: {reason}" for name, reason in calibration.evidence.unconnected.items())
+        raise CalibrationError(
+            f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
+        )
+    return merge_calibrations(calibration, earlier, prior)
+
+
 def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerPrior) -> Calibration:
     """A calibration together with the scanners that only the earlier one has, which keep their poses.
 
@@ -112,7 +121,7 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
         earlier: the earlier calibration.
         prior: of the solution ``found``.
     """
-    now, before = extract_planar_poses(found), extract_planar_poses(earlier)
+    now, before = extract_poses(found), extract_poses(earlier)
     kept = [sensor for sensor in earlier.sensors if sensor.name not in now.names]
     shared, kept_rows = [now.names[k] for k in prior.nodes], before.covariance_rows([one.name for one in kept])
     gain = now.covariance[:, now.covariance_rows(shared)] @ prior.information
@@ -123,7 +132,7 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
     edges = (e for e in earlier.evidence.edges if frozenset((e.sensor_a, e.sensor_b)) not in pairs)
     sensors, joint_covariance = (
         (*found.sensors, *(_mark_kept(sensor) for sensor in kept)),
-        lift_covariance(covariance),
+        covariance if now.size == 6 else lift_covariance(covariance),
     )
     T_root_sensor = [sensor.T_root_sensor for sensor in sensors]
     return replace(

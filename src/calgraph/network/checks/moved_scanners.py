@@ -6,8 +6,8 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.geometry import se2
-from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses, project_to_plane
+from calgraph.geometry import se_n
+from calgraph.network.joint.planar_poses import NetworkPoses, extract_planar_poses, project_to_plane
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.verdict.comparison import ExtrinsicsComparison, SensorComparison, match_poses
 from calgraph.verdict.displaced_nodes import find_displaced_nodes
@@ -21,7 +21,7 @@ class MovedScanner:
     distance: float
     """m."""
     rotation: float
-    """rad, counter-clockwise."""
+    """rad, counter-clockwise; about any axis in space."""
 
     def __str__(self) -> str:
         """The displacement in words; adding zero removes the sign of a negative zero."""
@@ -39,7 +39,7 @@ _MAX_SETS = 3000
 
 
 def find_moved_scanners(
-    before: PlanarPoses, after: PlanarPoses, settings: DiagnosticsSettings
+    before: NetworkPoses, after: NetworkPoses, settings: DiagnosticsSettings
 ) -> tuple[str, tuple[MovedScanner, ...]]:
     """Finds the scanners that have moved between two sets of poses, and how far.
 
@@ -52,8 +52,9 @@ def find_moved_scanners(
         A scanner that has not moved, the root if possible; and the displacements relative to it.
     """
     after = after.select(before.names)
-    difference = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    rounding = [_POSITION_ROUNDING, _POSITION_ROUNDING, _ROTATION_ROUNDING]
+    difference = se_n.difference(after.T_root_scanner, before.T_root_scanner)
+    n, d = before.T_root_scanner.shape[-1] - 1, before.size
+    rounding = n * [_POSITION_ROUNDING] + (d - n) * [_ROTATION_ROUNDING]
     of_rounding = np.diag(np.tile(np.square(rounding), len(before.names)))
     covariance = before.covariance + after.covariance + of_rounding
     nodes, *_ = find_displaced_nodes(
@@ -63,9 +64,9 @@ def find_moved_scanners(
     selected = [reference, *(before.names[k] for k in nodes)]
     T_before = before.change_root(reference).select(selected).T_root_scanner
     T_after = after.change_root(reference).select(selected).T_root_scanner
-    steps = se2.difference(T_after, T_before)
+    steps = se_n.difference(T_after, T_before)
     return reference, tuple(
-        MovedScanner(name, float(np.hypot(*step[:2])), float(step[2]))
+        MovedScanner(name, float(np.linalg.norm(step[:n])), float(step[n] if n == 2 else np.linalg.norm(step[n:])))
         for name, step in zip(selected[1:], steps[1:], strict=True)
     )
 
@@ -90,7 +91,7 @@ def compare_network_poses(
     """
     compared = match_poses(found, given, tolerance, settings.verdict)
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
-    before = PlanarPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
+    before = NetworkPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
         poses = extract_planar_poses(given.calibration, "`against`: ").change_root(frames[found.root])
         before = replace(before, covariance=poses.select(tuple(frames.values())).covariance)

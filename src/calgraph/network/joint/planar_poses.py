@@ -1,4 +1,4 @@
-"""Poses of a network's scanners in their common plane, with their joint covariance."""
+"""Poses of a network's scanners, in their common plane or in space, with their joint covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.errors import InputError
-from calgraph.geometry import Array, Index, se2
+from calgraph.geometry import Array, Index, se2, se_n
 from calgraph.result import Calibration
 from calgraph.sensors.kinds import KINDS
 
@@ -17,33 +17,39 @@ _UNOBSERVED_VARIANCE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarPoses:
-    """Poses of N scanners in the frame of the first one, the root."""
+class NetworkPoses:
+    """Poses of N scanners in the frame of the first one, the root: d = 3 numbers each in a plane, 6 in space."""
 
     names: tuple[str, ...]
     T_root_scanner: Array
-    """(N, 3, 3)."""
+    """(N, 3, 3) or (N, 4, 4)."""
     covariance: Array
-    """(3N, 3N) of the errors in the root's fixed axes; zero for the root."""
+    """(dN, dN) of the errors in the root's fixed axes; zero for the root."""
+
+    @property
+    def size(self) -> int:
+        """Of a pose: d numbers."""
+        return len(self.covariance) // len(self.names)
 
     def covariance_rows(self, names: Sequence[str]) -> Index:
-        """(3M,) rows of these scanners in the covariance."""
-        first = 3 * np.array([self.names.index(name) for name in names], dtype=np.intp)
-        return np.asarray(first[:, None] + np.arange(3), dtype=np.intp).ravel()
+        """(dM,) rows of these scanners in the covariance."""
+        first = self.size * np.array([self.names.index(name) for name in names], dtype=np.intp)
+        return np.asarray(first[:, None] + np.arange(self.size), dtype=np.intp).ravel()
 
-    def select(self, names: Sequence[str]) -> "PlanarPoses":
+    def select(self, names: Sequence[str]) -> "NetworkPoses":
         """The poses of some scanners, of which the first has to be the root."""
         rows = self.covariance_rows(names)
-        return PlanarPoses(tuple(names), self.T_root_scanner[rows[::3] // 3], self.covariance[np.ix_(rows, rows)])
+        T = self.T_root_scanner[rows[:: self.size] // self.size]
+        return NetworkPoses(tuple(names), T, self.covariance[np.ix_(rows, rows)])
 
-    def change_root(self, name: str) -> "PlanarPoses":
+    def change_root(self, name: str) -> "NetworkPoses":
         """The same poses in the frame of another scanner, which becomes the first and the root."""
         reordered = self.select([name, *(other for other in self.names if other != name)])
         T, count = reordered.T_root_scanner, len(self.names)
-        by_new_root, by_scanner = se2.relative_pose_jacobians(np.broadcast_to(T[0], T.shape), T)
+        by_new_root, by_scanner = se_n.relative_pose_jacobians(np.broadcast_to(T[0], T.shape), T)
         J = np.kron(np.eye(count), by_scanner[0])
-        J[:, :3] += by_new_root.reshape(-1, 3)
-        return PlanarPoses(reordered.names, se2.inverse(T[0]) @ T, J @ reordered.covariance @ J.T)
+        J[:, : self.size] += by_new_root.reshape(-1, self.size)
+        return NetworkPoses(reordered.names, se_n.inverse(T[0]) @ T, J @ reordered.covariance @ J.T)
 
 
 def lift_covariance(planar: Array) -> Array:
@@ -64,7 +70,19 @@ def project_to_plane(T: Array) -> Array:
     return se2.pose(se2.angle(T), T[..., :2, 3])
 
 
-def extract_planar_poses(calibration: Calibration, source: str = "") -> PlanarPoses:
+def extract_poses(calibration: Calibration, source: str = "") -> NetworkPoses:
+    """The poses of a network's calibration: in space if 3-D LiDARs measured them, otherwise as planar ones.
+
+    Args and Raises as for :func:`extract_planar_poses`.
+    """
+    if all(KINDS[sensor.kind].detects != "plane" for sensor in calibration.sensors):
+        return extract_planar_poses(calibration, source)
+    T: Array = np.array([sensor.T_root_sensor for sensor in calibration.sensors])
+    names = tuple(sensor.name for sensor in calibration.sensors)
+    return NetworkPoses(names, T, complete_covariance(calibration.joint_covariance, 6))
+
+
+def extract_planar_poses(calibration: Calibration, source: str = "") -> NetworkPoses:
     """The planar poses of a network's calibration.
 
     Correlations of scanners are taken as zero where some of them are unknown.
@@ -84,17 +102,17 @@ def extract_planar_poses(calibration: Calibration, source: str = "") -> PlanarPo
     T = project_to_plane(np.array([sensor.T_root_sensor for sensor in calibration.sensors]))
     covariance = complete_covariance(calibration.joint_covariance[np.ix_(rows, rows)])
     covariance = np.nan_to_num(covariance, posinf=_UNOBSERVED_VARIANCE)
-    return PlanarPoses(tuple(sensor.name for sensor in calibration.sensors), T, covariance)
+    return NetworkPoses(tuple(sensor.name for sensor in calibration.sensors), T, covariance)
 
 
-def complete_covariance(covariance: Array) -> Array:
-    """A covariance (3N, 3N) of poses, without correlations of scanners if some of them are unknown, NaN.
+def complete_covariance(covariance: Array, size: int = 3) -> Array:
+    """A covariance (dN, dN) of poses, without correlations of scanners if some of them are unknown, NaN.
 
     With zeros in the place of those only, it might not be positive definite.
     """
     if not np.isnan(covariance).any():
         return covariance
-    own = np.kron(np.eye(len(covariance) // 3, dtype=np.bool_), np.ones((3, 3), dtype=np.bool_))
+    own = np.kron(np.eye(len(covariance) // size, dtype=np.bool_), np.ones((size, size), dtype=np.bool_))
     return np.where(own, covariance, 0.0)
 
 

@@ -19,6 +19,7 @@ from calgraph.network.checks.assemble import (
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.network.space.joint import SpaceSolution
 from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.on_floor import spread_floor
 from calgraph.network.space.start import SpaceStart
 from calgraph.network.space.static_surfaces import thin_points
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
@@ -29,7 +30,7 @@ from calgraph.solver.connected_parts import label_parts
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
-_ADVICE = "let people walk farther and in more directions where the views of sensors overlap"
+_ADVICE = "let people walk farther and in more directions between {} and {}"
 _RANGE_ADVICE = (
     "measure the range errors of the sensors at known distances, and state what is left in rig.yaml "
     "(uncertainty: range_scale, range_bias)"
@@ -38,8 +39,13 @@ _LEVEL_ADVICE = (
     "the walls and people that a 2-D scanner measures do not show its height, roll and pitch: measure these, and "
     "state them in rig.yaml (height, roll, pitch, and uncertainty: tilt)"
 )
-# Sources of uncertainty, and the share of ranges in the most uncertain axis with which they are what to improve.
-_RANGES, _REST, _LARGE_SHARE = "range errors", "walks and surfaces", 0.5
+_WALK_IN = "let people walk from its view into those of its neighbours, with turns"
+_FLOOR_ADVICE = (
+    "let more of the floor be in the view of {}, and state the biases of its ranges (uncertainty: range_bias, "
+    "ring_bias)"
+)
+# Sources of uncertainty, of which the largest in the most uncertain axis is what to improve.
+_RANGES, _FLOOR, _REST = "range errors", "the floor", "walks and surfaces"
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
 # Walls on which two maps agree, less the others, and that over both, below which nothing but people shows that a
@@ -69,38 +75,46 @@ class SpaceResult:
 
 
 def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
-    """The calibration of a network in space."""
-    solution, start = result.solution, result.start
-    names = list(start.states) if solution else [rig.root]
-    states = solution.states if solution else [start.states.get(rig.root, SensorState(np.eye(4)))]
+    """The calibration of a network in space: rooted at a sensor, with poses graded against the root of the rig."""
+    solution, start, reference = result.solution, result.start, rig.reference
+    names = list(start.states) if solution else [reference]
+    states = solution.states if solution else [start.states.get(reference, SensorState(np.eye(4)))]
     T_root_world = se3.inverse(states[0].T_root_sensor)
-    covariance = known = np.zeros((6, 6))
-    clocks = np.zeros(1)
+    covariance, clocks = np.zeros((6, 6)), np.zeros(1)
     if solution:
-        covariance, clocks = _express_in_root(solution, solution.covariance, T_root_world)
-        known, _ = _express_in_root(solution, solution.with_ranges, T_root_world)
+        covariance, clocks = express_in_root(solution, solution.covariance, T_root_world)
     by_sensor = collect_findings(result.findings)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
     parents = find_parents(inliers, initial.names)
+    errors, known, of_floor = _list_errors(rig, result)
     sensors = []
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
         T = np.asarray(T_root_world @ states[k].T_root_sensor)
         verdict = LONE_ROOT if solution is None else Verdict("good")
-        if k and solution is not None:
-            stddev, rest = (stddev_along_axes(T, one[block, block]) for one in (covariance, known))
-            share = 1 - (rest / stddev) ** 2
+        if solution is not None and (k or rig.is_on_floor):
+            T_world_sensor = states[k].T_root_sensor
+            stddev, rest, floor = (
+                stddev_along_axes(T_world_sensor, one[block, block]) for one in (errors, known, of_floor)
+            )
+            shares = {_RANGES: 1 - (rest / stddev) ** 2}
+            if rig.is_on_floor:
+                shares[_FLOOR] = (floor / stddev) ** 2
+            shares[_REST] = 1 - np.sum(list(shares.values()), axis=0)
             worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
-            advice = _RANGE_ADVICE if share[worst] > _LARGE_SHARE else _ADVICE
+            largest = max(shares, key=lambda source: float(shares[source][worst]))
+            advice = {_RANGES: _RANGE_ADVICE, _FLOOR: _FLOOR_ADVICE.format(reference)}.get(
+                largest, _advise_walks(names, solution, k)
+            )
             advice = _LEVEL_ADVICE if isinstance(spec, Lidar2dSpec) and worst in _LEVEL_AXES else advice
             verdict = grade_pose(
-                name, spec.kind, T, covariance[block, block],
-                [*by_sensor.get(name, ()), *_find_contradictions(solution, k)],
+                name, spec.kind, T_world_sensor, errors[block, block],
+                [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data=_REST,
                 advice=advice,
-                shares={_RANGES: share, _REST: 1 - share},
+                shares=shares,
             )  # fmt: skip
         sensors.append(
             SensorPose(
@@ -129,7 +143,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             samples[name] = resample_tracks(correct_tracks(one, clock_offset=remaining))
     matches = match_across_scanners(samples, planar)
     return Calibration(
-        root=rig.root,
+        root=reference,
         sensors=tuple(sensors),
         joint_covariance=covariance,
         evidence=Evidence(
@@ -138,7 +152,8 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             edges=tuple(build_edge(pair, found, poses, parents) for pair, found in initial.pairs.items()),
             captures=build_walk_rows(samples, matches, result.begin),
             unconnected={
-                name: explain_unconnected(name, rig.root, tracked, initial.pairs)
+                name: explain_unconnected(name, reference, tracked, initial.pairs)
+                + (f"; {_WALK_IN}" if isinstance(tracked[name], ScannerTracks) else "")
                 for name in rig.sensors
                 if name not in names
             },
@@ -170,12 +185,22 @@ def _build_views(
     return tuple(views)
 
 
+def _advise_walks(names: Sequence[str], solution: SpaceSolution, k: int) -> str:
+    """Between sensor k and which other people should walk: the one with most common people, and nearest."""
+    common = np.zeros(len(names))
+    for one in solution.persons:
+        common[one.sensors] += k in one.sensors
+    places: Array = np.array([state.T_root_sensor[:3, 3] for state in solution.states])
+    order = np.lexsort((np.linalg.norm(places - places[k], axis=1), -common))
+    return _ADVICE.format(names[k], names[int(order[order != k][0])])
+
+
 def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     """Why the pose of sensor k cannot be good."""
     reasons = []
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
-    if not any((one.sensor == k).any() for one in solution.persons):
+    if not any(k in one.sensors for one in solution.persons):
         reasons.append("no person was measured by it and another sensor at the same time and place")
     agree = (solution.agreement >= _MIN_AGREEMENT) & (solution.balance >= _MIN_BALANCE)
     connected = label_parts(len(solution.states), np.argwhere(agree))
@@ -187,7 +212,22 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     return reasons
 
 
-def _express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
+def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array, Array]:
+    """Covariances (6S, 6S), in the world, of what is graded, of it without errors of ranges, and of the floor."""
+    solution, reference = result.solution, result.observed[rig.reference]
+    nothing = np.zeros((6, 6))
+    if solution is None:
+        return nothing, nothing, nothing
+    found, known = (
+        express_in_root(solution, one, np.eye(4))[0] for one in (solution.covariance, solution.with_ranges)
+    )
+    of_floor = np.zeros_like(found)
+    if rig.is_on_floor and isinstance(reference, SpaceObservations):
+        of_floor = spread_floor([one.T_root_sensor for one in solution.states], reference.floor_covariance)
+    return found + of_floor, known + of_floor, of_floor
+
+
+def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
     """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s.
 
     Args:

@@ -23,8 +23,8 @@ class Floor:
 
     T_floor_sensor: Array
     """(4, 4) levelled; x, y and yaw are zero."""
-    stddev: Array
-    """(3,) of roll and pitch, rad, and height, m."""
+    covariance: Array
+    """(3, 3) of the errors of roll and pitch, rad, and height, m, along the axes of the floor."""
     points: NDArray[np.bool_]
     """(N,) which static points are of it."""
 
@@ -153,11 +153,11 @@ def _adjust_floor(points: Array, start: Array, range_bias: float, ring_bias: flo
         T = level(plane.transform(se3.inverse(T), corrected))
     residual = mean[:, 2] - A @ (gain @ mean[:, 2])
     return Floor(
-        T, _find_stddev(points[inside], T, gain, residual, (cell, share, block), range_bias, ring_bias), inside
+        T, _find_covariance(points[inside], T, gain, residual, (cell, share, block), range_bias, ring_bias), inside
     )
 
 
-def _find_stddev(
+def _find_covariance(
     points: Array,
     T: Array,
     gain: Array,
@@ -166,33 +166,40 @@ def _find_stddev(
     range_bias: float,
     ring_bias: float,
 ) -> Array:
-    """(3,) of roll, pitch and height: from blocks' residuals, and from biases of ranges and rings."""
+    """(3, 3) of roll, pitch and height: from blocks' residuals, and from biases of ranges and rings."""
     cell, share, block = cells
     blocks = block.max() + 1
     influence = np.stack([np.bincount(block, row * residual) for row in gain])
     relief = np.stack([np.bincount(block, row) for row in gain])
-    variance = np.sum(influence**2, axis=1) * blocks / (blocks - 3) + _RELIEF**2 * np.sum(relief**2, axis=1)
+    covariance = influence @ influence.T * blocks / (blocks - 3) + _RELIEF**2 * relief @ relief.T
     # By how much a longer range lowers a point.
     lowers = points @ T[2, :3] / np.linalg.norm(points, axis=1)
     weighted = gain[:, cell] * (share * lowers)
-    variance += range_bias**2 * weighted.sum(axis=1) ** 2
+    common = weighted.sum(axis=1)
+    covariance += range_bias**2 * np.outer(common, common)
     ring = np.unique(find_rows(points), return_inverse=True)[1]
-    for k in range(3):
-        variance[k] += ring_bias**2 * np.sum(np.bincount(ring, weighted[k]) ** 2)
-    slope_x, slope_y, height = np.sqrt(variance)
-    return np.array([slope_y, slope_x, height])
+    of_rings = np.stack([np.bincount(ring, row) for row in weighted])
+    covariance += ring_bias**2 * of_rings @ of_rings.T
+    # A floor that seems to rise along x, or y, pitches or rolls the sensor, and a lower one is farther from it.
+    by_plane = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return np.asarray(by_plane @ covariance @ by_plane.T)
 
 
 def level(floor: Array) -> Array:
     """The pose (4, 4) of a sensor over a floor (4,) in its frame: z is up, x the sensor's as far as level."""
     up = floor[:3]
-    ahead = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < _MAX_UPRIGHT else np.array([0.0, 1.0, 0.0])
+    ahead = np.eye(3)[find_heading(up)]
     x = ahead - up * (up @ ahead)
     x /= np.linalg.norm(x)
     T = np.eye(4)
     T[:3, :3] = [x, np.cross(up, x), up]
     T[2, 3] = floor[3]
     return T
+
+
+def find_heading(up: Array) -> int:
+    """The axis of a sensor, 0 or 1, that heads along x of its level frame: x, or y if x is near the vertical."""
+    return int(abs(up[0]) >= _MAX_UPRIGHT)
 
 
 # Cosine of the angle between x and the vertical, above which y is the heading (2.6°).

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, Index, se_n
+from calgraph.geometry import Array, se_n
+from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.periods import release_periods
-from calgraph.network.space.person_paths import BodyNoise, PersonEquations, expect_shapes, reduce_person
-from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
+from calgraph.network.space.person_batches import LocalPerson, PeopleEquations, add_persons, reduce_persons
+from calgraph.network.space.person_paths import BodyNoise, PersonEquations, expect_shapes
+from calgraph.network.space.persons import find_persons, gather_samples
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
     compare_walls,
@@ -22,6 +24,7 @@ from calgraph.network.space.static_surfaces import (
     reduce_surfaces,
     thin_points,
 )
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.solver.clustered_covariance import (
     label_places,
     label_rings,
@@ -50,22 +53,6 @@ _FALSE_ALARM = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class PeopleEquations:
-    """Normal equations from all persons, of the P free states and the 6B means of the shapes of bodies."""
-
-    information: Array
-    """(P + 6B, P + 6B)."""
-    gradient: Array
-    """(P + 6B,)."""
-    scores: Array
-    """(V, P + 6B) what each view contributes to the gradient."""
-    time: Array
-    """(V,) of these by the root's clock, s."""
-    source: Index
-    """(V,) number of person and sensor."""
-
-
-@dataclass(frozen=True, eq=False)
 class SpaceSolution:
     """Of S sensors."""
 
@@ -76,7 +63,7 @@ class SpaceSolution:
     """(P, P) of these."""
     with_ranges: Array
     """(P, P) that it would be if the ranges of all sensors had no errors but noise."""
-    persons: Sequence[BodySamples]
+    persons: Sequence[LocalPerson]
     """The measurements of each person whom several sensors measured."""
     people: PeopleEquations
     shared: SharedSurfaces
@@ -101,6 +88,8 @@ def solve_space(
     observations: Sequence[SpaceObservations],
     states: Sequence[SensorState],
     prior: Array,
+    earlier: ScannerPrior | None = None,
+    engine: MapEngine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceSolution:
     """Solves for all sensors jointly, by Gauss–Newton with persons and surfaces found again.
@@ -109,6 +98,8 @@ def solve_space(
         observations: by sensor.
         states: start values; the first is the root, in whose levelled frame the solution is.
         prior: (S, 12) standard deviations of these, 0 of what is fixed.
+        earlier: what is known of poses in that frame from an earlier calibration.
+        engine: evaluates persons; does not affect the result.
         progress: called with the fraction done.
     """
     free, start = prior > 0, states
@@ -120,18 +111,20 @@ def solve_space(
     points = [thin_points(one.static.points, one.flat) for one in observations]
     noise = NoiseModel.at_start(len(states))
     body_noise, body = _start_body_noise(int(flat.sum())), expected
-    persons: list[BodySamples] = []
+    persons: list[LocalPerson] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
-            persons = find_persons(samples, states, person_gate)
+            persons = [LocalPerson.of(one) for one in find_persons(samples, states, person_gate)]
             shared = find_shared_surfaces(points, states, surface_gate, flat)
-        reduced = [reduce_person(one, states, body_noise, body) for one in persons]
-        people = _add_persons(reduced, free, len(body))
+        reduced = reduce_persons(persons, states, body_noise, body, engine)
+        people = add_persons(persons, reduced, free, len(body))
         surfaces = reduce_surfaces(shared, states, noise, free)
         H = people.information + np.diag(information)
         g = people.gradient + np.append(_deviate(states, start)[free], body - expected) * information
         H[:count, :count] += surfaces.information
         g[:count] += surfaces.gradient
+        if earlier is not None:
+            _add_poses(earlier, states, free, H, g)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
         full[free] = step[:count]
@@ -139,13 +132,11 @@ def solve_space(
         body = body + step[count:]
         body_noise, noise = _estimate_body_noise(reduced, body_noise), noise.estimated_again([surfaces])
         progress((k + 1) / len(_PERSON_GATES))
-    along = surfaces.scores.along(np.eye(count, len(H)))
-    clusters = [
-        sum_clusters(people.scores, label_times(people.time)),
-        sum_clusters(people.scores, people.source),
-        sum_clusters(along, label_places(shared.surfaces.center[shared.surface])),
-        sum_clusters(along, label_rings(shared.sensor, shared.points)),
-    ]
+    clusters = [sum_clusters(people.scores, label) for label in (label_times(people.time), people.source)]
+    for label in (
+        label_places(shared.surfaces.center[shared.surface]), label_rings(shared.sensor, shared.points)
+    ):  # fmt: skip
+        clusters.append(np.pad(surfaces.scores.sum_by(label), ((0, 0), (0, len(body)))))
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
     agreement, balance = compare_walls([one.static.points for one in observations], states, flat)
@@ -153,6 +144,8 @@ def solve_space(
     begin = 0.0
     if persons:
         left = np.append(_deviate(states, start)[free], body - expected) * information
+        if earlier is not None:
+            _add_poses(earlier, states, free, np.zeros_like(H), left)
         equations, ends = release_periods(persons, states, body_noise, body, (information, left), free, surfaces)
         places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
         changes = find_changes(equations, free, ends, places - places[0], ("clock",), _FALSE_ALARM)
@@ -180,19 +173,14 @@ def _condition_on_ranges(covariance: Array, free: NDArray[np.bool_]) -> Array:
     return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(ranges, ranges)], cross.T))
 
 
-def _add_persons(persons: Sequence[PersonEquations], free: NDArray[np.bool_], shape: int) -> PeopleEquations:
-    columns = np.append(np.flatnonzero(free), free.size + np.arange(shape))
-    size, none = len(columns), np.zeros(0, dtype=np.intp)
-    H, g = np.zeros((size, size)), np.zeros(size)
-    for one in persons:
-        H += one.information[np.ix_(columns, columns)]
-        g += one.gradient[columns]
-    return PeopleEquations(
-        H, g,
-        np.concatenate([np.zeros((0, size)), *(one.scores[:, columns] for one in persons)]),
-        np.concatenate([np.zeros(0), *(one.view_time for one in persons)]),
-        np.concatenate([none, *(one.view_sensor + len(free) * k for k, one in enumerate(persons))]),
-    )  # fmt: skip
+def _add_poses(
+    earlier: ScannerPrior, states: Sequence[SensorState], free: NDArray[np.bool_], H: Array, g: Array
+) -> None:
+    """Adds what is known of poses to the equations of free states (S, 12), in place."""
+    T = np.reshape([states[k].T_root_sensor for k in earlier.nodes], (-1, 4, 4))
+    rows = (np.cumsum(free.ravel()).reshape(free.shape) - 1)[earlier.nodes, :6].ravel()
+    H[np.ix_(rows, rows)] += earlier.information
+    g[rows] += earlier.information @ se_n.difference(T, earlier.T_root_scanner).ravel()
 
 
 def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:

@@ -44,7 +44,7 @@ def observe_scanner(tracked: ScannerTracks, spec: Lidar2dSpec, inverted: bool) -
     measured = np.array([[min(t[0] for t in times), max(t[-1] for t in times)]])
     return SpaceObservations(
         se3.pose(R @ np.diag([1.0, -1.0, -1.0]) if inverted else R, np.array([0.0, 0.0, height])),
-        np.array([*[np.radians(spec.uncertainty.tilt)] * 2, stddev]),
+        np.diag([*[np.radians(spec.uncertainty.tilt)] * 2, stddev]) ** 2,
         StaticPoints(points, np.full(count, tracked.sigma), np.ones(count, dtype=np.intp)),
         none,
         tuple(_measure_bodies(track) for track in tracked.tracks),
@@ -61,8 +61,9 @@ def stand_on_floor(
     floor = np.concatenate([at.place(one.static.points[one.floor_points])[0] for at, one in lidars])
     near = floor[np.hypot(*(floor - T[:3, 3])[:, :2].T) < _NEAR]
     if len(near) < _MIN_POINTS:
-        roll, pitch, _ = observed.floor_stddev
-        return state, replace(observed, floor_stddev=np.array([roll, pitch, _HEIGHT_STDDEV]))
+        covariance = observed.floor_covariance.copy()
+        covariance[2, 2] = _HEIGHT_STDDEV**2
+        return state, replace(observed, floor_covariance=covariance)
     T[2, 3] += np.median(near[:, 2])
     return replace(state, T_root_sensor=T), observed
 

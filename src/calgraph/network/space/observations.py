@@ -56,8 +56,8 @@ class SpaceObservations:
     T_floor_sensor: Array
     """(4, 4) levelled: roll, pitch, and height over its floor; x, y and yaw are zero. Of a 2-D scanner, which does
     not measure its floor, what is stated or usual."""
-    floor_stddev: Array
-    """(3,) of roll and pitch, rad, and height, m."""
+    floor_covariance: Array
+    """(3, 3) of the errors of roll and pitch, rad, and height, m, along the axes of the floor."""
     static: StaticPoints
     floor_points: NDArray[np.bool_]
     """(N,) which static points are of the floor."""

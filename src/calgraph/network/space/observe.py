@@ -40,5 +40,5 @@ def observe_clouds(
             f"{settings.motion.min_duration:g} s and {settings.motion.min_travel:g} m"
         )
     return SpaceObservations(
-        floor.T_floor_sensor, floor.stddev, split.static, floor.points, tracks, split.coverage, split.step
+        floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step
     )

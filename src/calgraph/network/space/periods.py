@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy.sparse import block_diag, csr_array
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
+from calgraph.network.space.person_batches import LocalPerson, find_columns, number_columns
 from calgraph.network.space.person_paths import BodyNoise, reduce_person
-from calgraph.network.space.persons import BodySamples, date_samples
+from calgraph.network.space.persons import date_samples
 from calgraph.solver.change_tests import PeriodEquations
 from calgraph.surfaces.sensor_states import SensorState
 from calgraph.surfaces.surface_elimination import SurfaceEquations
@@ -16,7 +17,7 @@ from calgraph.verdict.state_changes import PERIOD
 
 
 def release_periods(
-    persons: Sequence[BodySamples],
+    persons: Sequence[LocalPerson],
     states: Sequence[SensorState],
     noise: BodyNoise,
     body: Array,
@@ -36,24 +37,31 @@ def release_periods(
         surfaces: equations of these from what stands still. People alone leave places open by 0.2 m, which hides
             jumps of clocks, and imitates them.
     """
-    dates = [date_samples(one, states) for one in persons]
+    own = [[states[k] for k in one.sensors] for one in persons]
+    dates = [date_samples(one.samples, some) for one, some in zip(persons, own, strict=True)]
     begin, end = min(one[0] for one in dates), max(one[-1] for one in dates)
     K = max(int((end - begin) // PERIOD), 1)
-    numbers = free.size * K
     sensor, period, column = np.nonzero(np.repeat(free[:, None], K, axis=1))
-    rows = np.append((sensor * K + period) * free.shape[1] + column, numbers + np.arange(len(body)))
-    H, g = np.zeros((len(rows),) * 2), np.zeros(len(rows))
-    for one, times in zip(persons, dates, strict=True):
+    B = len(body)
+    number, size = number_columns((sensor * K + period) * free.shape[1] + column, free.size * K, B)
+    g = np.zeros(size)
+    blocks: list[tuple[Array, Index, Index]] = []
+    for one, some, times in zip(persons, own, dates, strict=True):
         of = np.clip((times - begin) // PERIOD, 0, K - 1).astype(np.intp)
-        reduced = reduce_person(one, states, noise, body, (one.sensor * K + of, len(states) * K))
-        H += reduced.information[np.ix_(rows, rows)]
-        g += reduced.gradient[rows]
+        reduced = reduce_person(one.samples, some, noise, body, (one.samples.sensor * K + of, len(some) * K))
+        in_periods = (one.sensors[:, None] * K + np.arange(K)).ravel()
+        used, columns = find_columns(in_periods, number, free.shape[1], B)
+        block = reduced.information[np.ix_(used, used)]
+        row, other = np.nonzero(block)
+        blocks.append((block[row, other], columns[row], columns[other]))
+        g[columns] += reduced.gradient[used]
+    values, row, other = (np.concatenate(one) for one in zip(*blocks, strict=True))
+    H = csr_array((values, (row, other)), shape=(size, size))
     P = int(free.sum())
     of_period = (np.cumsum(free).reshape(free.shape) - 1)[sensor, column]
-    B = len(body)
     same = np.concatenate([of_period, P + np.arange(B), np.arange(P)])
     equations = PeriodEquations(
-        block_diag(H, surfaces.information), np.append(g, surfaces.gradient),
+        csr_array(block_diag([H, surfaces.information])), np.append(g, surfaces.gradient),
         np.append(period, np.full(B + P, -1)), np.eye(P + B)[same], *prior,
     )  # fmt: skip
     return equations, begin + PERIOD * np.arange(1.0, K + 1)

@@ -118,10 +118,9 @@ def find_persons(samples: BodySamples, states: Sequence[SensorState], gate: floa
     at = place_samples(samples, states)[:, :2]
     person = _join_tracks(samples, times, at + FRONT * point_outward(samples, states, at), gate)
     found = []
-    for number in np.unique(person):
-        rows = np.flatnonzero(person == number)
-        rows = rows[np.argsort(times[rows], kind="stable")]
-        rows = rows[_has_support(samples.sensor[rows], times[rows])]
+    order = np.lexsort((times, person))
+    for of_one in np.split(order, np.flatnonzero(np.diff(person[order])) + 1):
+        rows = of_one[_has_support(samples.sensor[of_one], times[of_one])]
         if not len(rows):
             continue
         stay = (times[rows] - times[rows[0]]) // _MAX_STAY
@@ -140,10 +139,14 @@ def _join_tracks(samples: BodySamples, times: Array, places: Array, gate: float)
     rows = np.split(np.arange(len(times)), np.flatnonzero(np.diff(samples.track)) + 1)
     span = np.array([[times[r[0]], times[r[-1]]] for r in rows]).reshape(-1, 2)
     sensor = np.array([samples.sensor[r[0]] for r in rows])
+    low, high = (np.array([reduce(places[r], axis=0) for r in rows]).reshape(-1, 2) for reduce in (np.min, np.max))
     pairs = []
     for a in range(len(rows)):
         common = np.minimum(span[a, 1], span[:, 1]) - np.maximum(span[a, 0], span[:, 0])
-        for b in np.flatnonzero((common >= _MIN_COMMON) & (sensor > sensor[a])).tolist():
+        # Tracks elsewhere are farther apart: most of them in large networks.
+        apart = np.maximum(low - high[a], low[a] - high).max(axis=1, initial=-np.inf)
+        near = (common >= _MIN_COMMON) & (sensor > sensor[a]) & (apart < gate)
+        for b in np.flatnonzero(near).tolist():
             distance = _measure_distance(times, places, rows[a], rows[b])
             if distance < gate:
                 pairs.append((distance, a, b))

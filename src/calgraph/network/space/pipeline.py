@@ -1,25 +1,32 @@
 """Networks in space: from one recording of people walking through a hall to the poses of its sensors."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calgraph.config import Cylinder, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.errors import InputError, Rejected
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
+from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_with_earlier
 from calgraph.network.checks.findings import collect_network_findings
+from calgraph.network.joint.planar_poses import NetworkPoses
+from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
-from calgraph.network.space.assemble import SpaceResult, assemble_space
+from calgraph.network.space.assemble import SpaceResult, assemble_space, express_in_root
 from calgraph.network.space.joint import SpaceSolution, solve_space
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.observe import observe_clouds
+from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.network.timed_tracks import track_with_beam_times
 from calgraph.network.tracking.track import ScannerTracks
+from calgraph.parallel.engine import MapEngine
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.progress import Progress
-from calgraph.recording import Recording
-from calgraph.recording.input_checks import InputMonitor
+from calgraph.recording import Recording, RecordingReference, refer_to
+from calgraph.recording.input_checks import InputMonitor, TopicObservations
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.sensors import PointCloud
@@ -27,6 +34,8 @@ from calgraph.sensors.kinds import SensorSpec
 from calgraph.surfaces.sensor_states import TIMING
 from calgraph.verdict.state_changes import describe_changes
 
+# LiDARs that are read together, 150 MB each until their points are split; batches for each worker, as of scanners.
+_MAX_TOGETHER, _BATCHES_PER_WORKER = 10, 4
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
 
@@ -40,22 +49,17 @@ def check_space(rig: Rig, options: NetworkOptions) -> None:
     """Checks what is asked of a network in space.
 
     Raises:
-        InputError: a sensor or the root is of another kind, the target is not people, or an option is of planar
-            networks.
+        InputError: a sensor or the root is of another kind, the target is not people, or the estimator is of
+            planar networks.
     """
     for name, spec in rig.sensors.items():
         _scanning_spec(name, spec)
-    if not isinstance(rig.sensors[rig.root], Lidar3dSpec):
+    if not isinstance(rig.sensors[rig.reference], Lidar3dSpec):
         raise InputError(
             f"root: must be a 3-D LiDAR, which measures the floor, where there is one, got {rig.root}"
         )
     if isinstance(rig.target, Cylinder):
         raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
-    if options.extend is not None:
-        raise InputError(
-            "`extend`: is of networks of 2-D scanners alone as yet; give a recording of all sensors of the "
-            "network, without it"
-        )
     estimator = options.select_method(rig.settings.published).estimator
     if estimator != "joint":
         raise InputError(f"`estimator`: must be joint for a network of 3-D LiDARs, got {estimator}")
@@ -65,6 +69,7 @@ def calibrate_in_space(
     rig: Rig,
     recording: Recording,
     options: NetworkOptions,
+    earlier: Calibration | None,
     monitor: InputMonitor,
     findings: Sequence[Finding],
     progress: Progress,
@@ -75,51 +80,75 @@ def calibrate_in_space(
         rig: the network, which :func:`check_space` allows.
         recording: of its sensors, by one clock.
         options: how to calibrate.
+        earlier: the calibration to extend, without the sensors that have moved since.
         monitor: observes the messages.
         findings: of clocks.
         progress: called with the step and the fraction done.
+
+    Raises:
+        InputError: the earlier calibration lacks the sensor whose floor is the root.
+        CalibrationError: nothing is connected to the root of a network that is to be extended, or it has moved.
     """
+    if earlier is not None and rig.is_on_floor:
+        earlier = leave_floor(earlier, rig.reference)
+    solved = rig.model_copy(update={"root": rig.reference})
     observed, frames = _observe(rig, recording, options, monitor, progress)
     tracked, of_scanners, found = _track_scanners(rig, recording, options, monitor, progress)
     findings = [*findings, *monitor.findings(), *found]
     scanners = {name: one for name, one in tracked.items() if isinstance(one, ScannerTracks)}
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
-    findings += _describe_steps(rig, measured, recording.start)
+    findings += _describe_steps(solved, measured, recording.start)
     rng = np.random.default_rng(options.seed)
-    start = start_in_space(rig, measured, scanners, options, rng, progress)
+    start = start_in_space(solved, measured, scanners, options, rng, progress)
     findings += start.corrected.findings
     findings += collect_network_findings(tracked, start.initialization, recording.start)
-    solution = _solve(rig, start, progress) if len(start.states) > 1 else None
-    if solution is not None:
+    solution = prior = None
+    if len(start.states) > 1:
         names = list(start.states)
-        findings += describe_changes(solution.changes, names, rig.root, solution.begin)
+        with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
+            solution = _solve(solved, start, engine, progress)
+            if earlier is not None:
+                poses = extract_earlier_poses(earlier, solved.root, in_space=True)
+                prior = build_consistent_prior(poses, _locate(names, solution), rig.settings.diagnostics)
+                solution = _solve(solved, start, engine, progress, prior)
+        findings += describe_changes(solution.changes, names, solved.root, solution.begin)
     rejected = {name: one for name, one in (observed | tracked).items() if isinstance(one, Rejected)}
     result = SpaceResult(
         {name: rejected.get(name) or start.observed[name] for name in rig.sensors}, frames | of_scanners, start,
         recording.start, solution, findings,
     )  # fmt: skip
-    return assemble_space(rig, result)
+    calibration = assemble_space(rig, result)
+    if earlier is not None:
+        calibration = merge_with_earlier(calibration, earlier, prior)
+    of_reference = observed[solved.root]
+    if rig.is_on_floor and isinstance(of_reference, SpaceObservations):
+        return express_on_floor(calibration, of_reference)
+    return calibration
 
 
 def _observe(
     rig: Rig, recording: Recording, options: NetworkOptions, monitor: InputMonitor, progress: Progress
 ) -> tuple[dict[str, SpaceObservations | Rejected], dict[str, str]]:
-    """What each 3-D LiDAR measured, and the frames that messages state."""
-    specs = {name: spec for name, spec in rig.sensors.items() if isinstance(spec, Lidar3dSpec)}
-    names = {rig.topics[name]: name for name in specs}
-    splitters = {name: CloudSplitter() for name in specs}
-    frames: dict[str, str] = {}
-    for record in monitor.observe(recording.records(list(names))):
-        name, message = names[record.topic], record.decode()
-        if isinstance(message, PointCloud):
-            frames.setdefault(name, message.frame_id)
-            splitters[name].add(message)
-        progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+    """What each 3-D LiDAR measured, and the frames that messages state.
+
+    Each call reads the recording by itself, as with scanners: passing over the messages of others takes little.
+    """
+    names = [name for name, spec in rig.sensors.items() if isinstance(spec, Lidar3dSpec)]
+    engine = options.engine
+    # One worker reads as many together as it may.
+    batches = _BATCHES_PER_WORKER * engine.workers if engine.workers > 1 else 1
+    size = min(_MAX_TOGETHER, -(-len(names) // batches))
+    parts = [names[k : k + size] for k in range(0, len(names), size)]
+    shared = Kept.of((rig, refer_to(recording, rig.settings.limits), options.seed))
     observed: dict[str, SpaceObservations | Rejected] = {}
-    for k, (name, spec) in enumerate(specs.items()):
-        rng = np.random.default_rng([options.seed, k])
-        observed[name] = observe_clouds(splitters.pop(name), spec, rig.settings.tracking, rng)
-        progress("tracking", (k + 1) / len(specs))
+    frames: dict[str, str] = {}
+    for found in engine.map(_observe_batch, [(shared, part) for part in parts]):
+        for name, one in found.items():
+            observed[name] = one.observations
+            if one.frame is not None:
+                frames[name] = one.frame
+            monitor.restore(rig.topics[name], one.of_topic)
+        progress("tracking", len(observed) / len(names))
     return observed, frames
 
 
@@ -133,6 +162,39 @@ def _track_scanners(
     planar = rig.model_copy(update={"sensors": specs, "root": next(iter(specs))})
     tracks, frames, findings = track_with_beam_times(planar, recording, options, progress, monitor)
     return tracks, frames, findings
+
+
+@dataclass(frozen=True, eq=False)
+class _Observed:
+    """What one pass over the messages of a sensor yields."""
+
+    observations: SpaceObservations | Rejected
+    frame: str | None
+    """That its first message states; None where it has none."""
+    of_topic: TopicObservations
+
+
+def _observe_batch(shared: tuple[Rig, RecordingReference, int], names: Sequence[str]) -> dict[str, _Observed]:
+    """Reads the messages of some sensors, and finds what each measured."""
+    rig, reference, seed = shared
+    by_topic = {rig.topics[name]: name for name in names}
+    splitters = {name: CloudSplitter() for name in names}
+    frames: dict[str, str] = {}
+    with reference.open() as recording:
+        monitor = InputMonitor(rig, recording.start)
+        for record in monitor.observe(recording.records(list(by_topic))):
+            name, message = by_topic[record.topic], record.decode()
+            if isinstance(message, PointCloud):
+                frames.setdefault(name, message.frame_id)
+                splitters[name].add(message)
+    found = {}
+    for name in names:
+        rng = np.random.default_rng([seed, list(rig.sensors).index(name)])
+        spec = rig.sensors[name]
+        assert isinstance(spec, Lidar3dSpec)
+        observations = observe_clouds(splitters.pop(name), spec, rig.settings.tracking, rng)
+        found[name] = _Observed(observations, frames.get(name), monitor.observations(rig.topics[name]))
+    return found
 
 
 def _scanning_spec(name: str, spec: SensorSpec) -> Lidar2dSpec | Lidar3dSpec:
@@ -157,14 +219,26 @@ def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: 
     ]
 
 
-def _solve(rig: Rig, start: SpaceStart, progress: Progress) -> SpaceSolution:
+def _solve(
+    rig: Rig, start: SpaceStart, engine: MapEngine, progress: Progress, earlier: ScannerPrior | None = None
+) -> SpaceSolution:
     names = list(start.states)
     return solve_space(
         [start.observed[name] for name in names],
         list(start.states.values()),
         np.array([_state_stddev(rig, name, start.observed[name]) for name in names]),
+        earlier and earlier.express_in(start.states[rig.root].T_root_sensor),
+        engine,
         lambda done: progress("solving", done),
     )
+
+
+def _locate(names: Sequence[str], solution: SpaceSolution) -> NetworkPoses:
+    """The poses in the frame of the root, the first sensor."""
+    T = np.array([state.T_root_sensor for state in solution.states])
+    T_root_world = se3.inverse(T[0])
+    covariance, _ = express_in_root(solution, solution.covariance, T_root_world)
+    return NetworkPoses(tuple(names), T_root_world @ T, covariance)
 
 
 def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
@@ -172,7 +246,7 @@ def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
     stated = _scanning_spec(name, rig.sensors[name]).uncertainty
     pose = [*[_PLACE_STDDEV] * 3, *[_ROTATION_STDDEV] * 3, _CLOCK_STDDEV]
     if observed.flat:
-        roll, pitch, height = observed.floor_stddev
+        roll, pitch, height = np.sqrt(np.diag(observed.floor_covariance))
         pose[2:5] = height, roll, pitch
     return np.array(
         [*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale, *[0.0] * TIMING]

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from calgraph.sensors.kinds.camera import CAMERA, CameraSpec, CameraUncertainty, PixelNoise
 from calgraph.sensors.kinds.depth_camera import DEPTH_CAMERA, DepthCameraSpec, DepthCameraUncertainty, DepthNoise
+from calgraph.sensors.kinds.floor import FLOOR
 from calgraph.sensors.kinds.gyroscope import GYROSCOPE, GyroscopeSpec
 from calgraph.sensors.kinds.lidar2d import LIDAR2D, Lidar2dSpec, Lidar2dUncertainty
 from calgraph.sensors.kinds.lidar3d import LIDAR3D, Lidar3dSpec, Lidar3dUncertainty
@@ -14,15 +15,15 @@ from calgraph.sensors.kinds.stated import BeamError, OpticalSpec, RangeNoise, Ra
 from calgraph.sensors.kinds.trajectory import TF_TYPES, TRAJECTORY, TrajectorySpec
 from calgraph.sensors.messages import Message
 
-KindName = Literal["camera", "lidar2d", "lidar3d", "depth_camera", "trajectory", "gyroscope"]
+KindName = Literal["camera", "lidar2d", "lidar3d", "depth_camera", "trajectory", "gyroscope", "floor"]
 SensorSpec = Annotated[
     CameraSpec | Lidar2dSpec | Lidar3dSpec | DepthCameraSpec | TrajectorySpec | GyroscopeSpec,
     Field(discriminator="kind"),
 ]
 KINDS: dict[str, SensorKind] = {
-    kind.name: kind for kind in (LIDAR3D, CAMERA, DEPTH_CAMERA, LIDAR2D, TRAJECTORY, GYROSCOPE)
+    kind.name: kind for kind in (LIDAR3D, CAMERA, DEPTH_CAMERA, LIDAR2D, TRAJECTORY, GYROSCOPE, FLOOR)
 }
-"""All kinds by name; the kinds that suit best as the root of a rig come first."""
+"""All kinds by name, and the floor; the kinds that suit best as the root of a rig come first."""
 
 _KIND_OF_TYPE = {name: kind.name for kind in KINDS.values() if kind.detects != "motion" for name in kind.types}
 SENSOR_TYPES = frozenset(_KIND_OF_TYPE)
@@ -52,8 +53,9 @@ def list_beam_errors(kind: KindName) -> tuple[BeamError, ...]:
 
 
 __all__ = [
-    "KINDS", "MOTION_TYPES", "SENSOR_TYPES", "TF_TYPES", "CameraSpec", "CameraUncertainty", "DepthCameraSpec",
-    "DepthCameraUncertainty", "DepthNoise", "GyroscopeSpec", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
+    "FLOOR", "KINDS", "MOTION_TYPES", "SENSOR_TYPES", "TF_TYPES", "CameraSpec", "CameraUncertainty",
+    "DepthCameraSpec", "DepthCameraUncertainty", "DepthNoise", "GyroscopeSpec", "KindName", "Lidar2dSpec",
+    "Lidar2dUncertainty",
     "Lidar3dSpec", "Lidar3dUncertainty", "OpticalSpec", "PixelNoise", "RangeNoise", "SensorKind", "SensorSpec",
     "TrajectorySpec",
     "list_beam_errors", "motion_kind_of", "recognize_kind",

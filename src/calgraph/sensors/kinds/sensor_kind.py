@@ -38,8 +38,9 @@ class SensorKind:
     """What it sends; the first is what else a message of this kind is called in errors."""
     types: tuple[str, ...]
     """Types of topics, of ROS and of plain folders, that are of this kind unless another kind claims them."""
-    detects: Literal["corners", "plane", "line", "motion"]
-    """What it measures of a board; ``motion`` of kinds that are calibrated in a drive only."""
+    detects: Literal["corners", "plane", "line", "motion", "nothing"]
+    """What it measures of a board; ``motion`` of kinds that are calibrated in a drive only, ``nothing`` of a
+    floor."""
     axes: tuple[str, ...]
     """Names of the six axes of its frame: along x, y, z, and about them."""
     shape: Literal["frustum", "disc", "rings", "axes"]

@@ -1,0 +1,58 @@
+"""Equations of persons with their sensors only: those of the whole network, on any engine."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.network.space.person_batches import LocalPerson, add_persons, reduce_persons
+from calgraph.network.space.person_paths import SHARED_MEAN, BodyNoise, reduce_person
+from calgraph.network.space.persons import find_persons, gather_samples
+from calgraph.parallel.engine import THIS_PROCESS, Processes
+from network.space.space_scenes import build_scene, prior_of
+
+NOISE = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
+
+
+def test_sums_over_persons_are_those_of_the_equations_of_all_sensors() -> None:
+    scene = build_scene(0, duration=6.0, people=2, sensors=4)
+    states, free = scene.truth, prior_of(4) > 0
+    # The third sensor measures nobody.
+    samples = gather_samples([*scene.observations[:2], scene.observations[3]])
+    samples.sensor[samples.sensor == 2] = 3
+    found = find_persons(samples, states, 0.5)
+    persons = [LocalPerson.of(one) for one in found]
+    people = add_persons(persons, reduce_persons(persons, states, NOISE, SHARED_MEAN, THIS_PROCESS), free)
+    whole = [reduce_person(one, states, NOISE, SHARED_MEAN) for one in found]
+    columns = np.append(np.flatnonzero(free), free.size + np.arange(6))
+    information = sum(one.information for one in whole)[np.ix_(columns, columns)]
+    np.testing.assert_allclose(people.information, information, rtol=1e-9, atol=1e-6)
+    scores = np.concatenate([one.scores[:, columns] for one in whole])
+    np.testing.assert_allclose(people.scores.toarray(), scores, rtol=1e-9, atol=1e-6)
+    assert set(people.source % 4) == {0, 1, 3}
+
+
+def test_equations_have_the_same_bits_in_other_processes() -> None:
+    scene = build_scene(0, duration=6.0, people=3)
+    persons = [LocalPerson.of(one) for one in find_persons(gather_samples(scene.observations), scene.truth, 0.5)]
+    here, there = (
+        reduce_persons(persons, scene.truth, NOISE, SHARED_MEAN, engine) for engine in (THIS_PROCESS, Processes(2))
+    )
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_array_equal(one.information, other.information)
+        np.testing.assert_array_equal(one.scores, other.scores)
+
+
+def test_equations_have_the_same_bits_with_poses_that_are_not_aligned() -> None:
+    """As arrays of a few numbers are that come from the scheduler of a cluster."""
+    scene = build_scene(0, duration=6.0, people=3)
+    persons = [LocalPerson.of(one) for one in find_persons(gather_samples(scene.observations), scene.truth, 0.5)]
+    moved = []
+    for state in scene.truth:
+        T = np.ndarray((4, 4), buffer=bytearray(129), offset=1)
+        T[...] = state.T_root_sensor
+        moved.append(replace(state, T_root_sensor=T))
+    here, there = (
+        reduce_persons(persons, states, NOISE, SHARED_MEAN, THIS_PROCESS) for states in (scene.truth, moved)
+    )
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_array_equal(one.information, other.information)
