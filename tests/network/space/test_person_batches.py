@@ -21,7 +21,7 @@ def test_sums_over_persons_are_those_of_the_equations_of_all_sensors() -> None:
     samples.sensor[samples.sensor == 2] = 3
     found = find_persons(samples, states, 0.5)
     persons = [LocalPerson.of(one) for one in found]
-    people = add_persons(persons, reduce_persons(persons, states, NOISE, SHARED_MEAN, THIS_PROCESS), free)
+    people = add_persons(persons, reduce_persons(persons, states, NOISE, SHARED_MEAN, THIS_PROCESS), free, SHAPE)
     whole = [reduce_person(one, states, NOISE, SHARED_MEAN) for one in found]
     columns = np.append(np.flatnonzero(free), free.size + np.arange(6))
     information = sum(one.information for one in whole)[np.ix_(columns, columns)]
