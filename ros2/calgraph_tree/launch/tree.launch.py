@@ -12,11 +12,13 @@ from launch.substitutions import LaunchConfiguration, ThisLaunchFileDir
 
 def generate_launch_description():
     """Includes the launch file given."""
-    return LaunchDescription([
-        DeclareLaunchArgument(
-            "file",
-            default_value=[ThisLaunchFileDir(), "/sensors.launch.py"],
-            description="Launch file that calgraph exported",
-        ),
-        IncludeLaunchDescription(PythonLaunchDescriptionSource(LaunchConfiguration("file"))),
-    ])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "file",
+                default_value=[ThisLaunchFileDir(), "/sensors.launch.py"],
+                description="Launch file that calgraph exported",
+            ),
+            IncludeLaunchDescription(PythonLaunchDescriptionSource(LaunchConfiguration("file"))),
+        ]
+    )
