@@ -61,12 +61,12 @@ def test_errors_of_rings_do_not_fall_with_time() -> None:
 
 
 def test_rings_of_a_sensor_are_rows_of_elevation() -> None:
-    """Those of two sensors differ; points of a scanner in the plane are of one ring."""
+    """Those of two sensors differ; scanners in the plane have none, and their points one number."""
     up, level = np.array([[5.0, 0, 0.5], [0, -10, 1]]), np.array([[5.0, 0, 0.4], [0, 5, 0.5]])
     first, second = (label_rings(np.array([0, sensor]), up) for sensor in (0, 1))
     assert first[0] == first[1] == second[0] != second[1]
     assert len(np.unique(label_rings(np.array([0, 0]), level))) == 2
-    assert len(np.unique(label_rings(np.array([2, 2]), up[:, :2]))) == 1
+    assert len(np.unique(label_rings(np.array([0, 2]), up[:, :2]))) == 1
     turns, tenths = np.linspace(0, 6, 40), np.radians(0.1 * np.arange(-300, 300)[:, None])
     sweep = np.stack(np.broadcast_arrays(np.cos(turns), np.sin(turns), np.tan(tenths)), axis=-1)
     points = sweep.astype(np.float32).astype(np.float64).reshape(-1, 3)

@@ -83,9 +83,13 @@ def label_places(place: Array) -> Index:
 
 
 def label_rings(sensor: Index, points: Array) -> Index:
-    """(N,) number of the sensor (N,) and of the row of elevation, 0.4° high, of its points (N, n) in its frame."""
-    height: Array = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
-    elevation: Array = np.arctan2(height, np.hypot(points[:, 0], points[:, 1]))
+    """(N,) number of the sensor (N,) and of the row of elevation, 0.4° high, of its points (N, n) in its frame.
+
+    Scanners in the plane have no rings: 0.
+    """
+    if points.shape[1] == 2:
+        return np.zeros(len(points), dtype=np.intp)
+    elevation: Array = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     row = np.floor((elevation + np.pi / 2) / _ROW + _EDGE).astype(np.intp)
     return np.asarray(sensor * (int(np.pi / _ROW) + 2) + row)
 
