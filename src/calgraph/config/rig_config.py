@@ -76,7 +76,7 @@ class Rig(StrictModel):
     root: str
     """The sensor whose frame everything is expressed in.
 
-    Or ``floor``, of a network of 3-D LiDARs: z is up, the origin below the first of them, and x along its heading."""
+    Or ``floor``, of a network of 3-D LiDARs: z is up, the origin below the first of them, x along its heading."""
     target: Target
     """A board (calgraph board prints it), people, a cylinder, or {kind: surroundings} for a robot that drives."""
     base: Base | None = None
