@@ -74,8 +74,9 @@ class Rig(StrictModel):
     """A whole rig.yaml."""
 
     root: str
-    """The sensor whose frame everything is expressed in; or ``floor`` of a network of 3-D LiDARs: z up, the origin
-    below the first of them, and x along its heading."""
+    """The sensor whose frame everything is expressed in.
+
+    Or ``floor``, of a network of 3-D LiDARs: z is up, the origin below the first of them, x along its heading."""
     target: Target
     """A board (calgraph board prints it), people, a cylinder, or {kind: surroundings} for a robot that drives."""
     base: Base | None = None
