@@ -17,8 +17,8 @@ from calgraph.surfaces.sensor_states import SensorState
 
 # Height of a scanner that states none, m, and its standard deviation: from shins to heads.
 _USUAL_HEIGHT, _HEIGHT_STDDEV = 0.9, 0.5
-# Standard deviation of a stated height, m: of a tape measure, and of the floor that LiDARs measure within this
-# distance of it, m, at least at so many points.
+# Standard deviation of a stated height, m: of a tape measure, and of the floor about the scanner. LiDARs have to
+# measure that floor within this distance, m, at this many points.
 _STATED_STDDEV, _NEAR, _MIN_POINTS = 0.05, 2.5, 10
 # First guesses of a body's errors along and across the line of sight, m: legs that step, arms, and beams between.
 _RADIAL, _TANGENTIAL = 0.04, 0.03
