@@ -12,8 +12,10 @@ from calgraph.simulation import STANDARD_RIGS, DriveScenario, HallScenario, simu
 
 
 def list_topics(recording: Recording) -> list[FoundTopic]:
-    kinds = {True: "lidar2d", False: "lidar3d"}
-    return [FoundTopic(one.name, "", kinds[one.name.endswith("scan")], one.count) for one in recording.topics]
+    return [
+        FoundTopic(one.name, "", "lidar2d" if one.name.endswith("scan") else "lidar3d", one.count)
+        for one in recording.topics
+    ]
 
 
 def measure_room(place: Array, walkers: Array) -> list[Message]:

@@ -17,9 +17,11 @@ from calgraph.surfaces.sensor_states import SensorState
 
 # Height of a scanner that states none, m, and its standard deviation: from shins to heads.
 _USUAL_HEIGHT, _HEIGHT_STDDEV = 0.9, 0.5
-# Standard deviation of a stated height, m: of a tape measure, and of the floor that LiDARs measure within this
-# distance of it, m, at 10 points at least.
+# Standard deviation of a stated height, m: of a tape measure, and of the floor about the scanner. LiDARs have to
+# measure that floor within this distance, m, at this many points.
 _STATED_STDDEV, _NEAR, _MIN_POINTS = 0.05, 2.5, 10
+# Slope of the floor, to which LiDARs are levelled, rad (0.3°): scanners are levelled to gravity.
+_SLOPE = 0.005
 # First guesses of a body's errors along and across the line of sight, m: legs that step, arms, and beams between.
 _RADIAL, _TANGENTIAL = 0.04, 0.03
 
@@ -44,7 +46,7 @@ def observe_scanner(tracked: ScannerTracks, spec: Lidar2dSpec, inverted: bool) -
     measured = np.array([[min(t[0] for t in times), max(t[-1] for t in times)]])
     return SpaceObservations(
         se3.pose(R @ np.diag([1.0, -1.0, -1.0]) if inverted else R, np.array([0.0, 0.0, height])),
-        np.diag([*[np.radians(spec.uncertainty.tilt)] * 2, stddev]) ** 2,
+        np.diag([*[np.hypot(np.radians(spec.uncertainty.tilt), _SLOPE)] * 2, stddev]) ** 2,
         StaticPoints(points, np.full(count, tracked.sigma), np.ones(count, dtype=np.intp)),
         none,
         tuple(_measure_bodies(track) for track in tracked.tracks),
