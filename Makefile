@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-all coverage fuzz frozen check docs format requirements clean
+.PHONY: help setup demo test test-slow coverage fuzz frozen check docs format requirements clean
 
 BIN := .venv/bin
 # calgraph with what a user needs, and with the tools of all other targets.
@@ -30,9 +30,6 @@ test: $(READY)  ## run the tests of the first tier, within minutes (ARGS="-k nam
 
 test-slow: $(READY)  ## run the others: statistics over seeds, whole commands, browsers
 	$(PYTEST) -m slow $(ARGS)
-
-test-all: $(READY)  ## run both tiers at once
-	$(PYTEST) $(ARGS)
 
 # Settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
 coverage:  ## run the first tier and measure its coverage; fails below the limit in pyproject.toml

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-_PROVENANCE = re.compile(rb'\nprovenance:\n.*|<section id="provenance">.*?</section>', re.DOTALL)
+_PROVENANCE = re.compile(rb"\nprovenance:\n.*|<details><summary>Provenance</summary>.*?</details>", re.DOTALL)
 
 
 def read_without_provenance(path: Path) -> bytes:

@@ -107,7 +107,7 @@ def test_in_the_usage(run: Run, places: Mapping[str, Path], mistake: str) -> Non
     line, message = USAGE[mistake]
     result = run(*line.format(**places).split())
     assert_one_line(result, message)
-    assert re.search(r"; see \S+( calibrate)? --help$", result.stderr)
+    assert re.search(r"; see \S+( calibrate| export)? --help$", result.stderr)
 
 
 @pytest.mark.usefixtures("_cache")

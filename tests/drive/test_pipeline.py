@@ -127,7 +127,7 @@ def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 
         (start((0.1, 0.05, 0.01), inliers=0.2), "only 20% of its motions"),
         (
             replace(start((0.1, 0.05, 0.01), inliers=6 / 11), motions=11, by_boards=True),
-            "only 6 of its 11 motions together with the root agree with one pose, 10 are needed",
+            "only 6 of its 11 motions together with the root agree with one pose, 7 are needed",
         ),
         (replace(start((0.1,)), travel=0.1), "turned about one point only (other motion is 0.10 m in 1.5 s)"),
     ],

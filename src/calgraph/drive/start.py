@@ -28,9 +28,9 @@ MOTION_DURATION = 1.5
 _MOTION_STEP = 0.5
 # Durations of motions in the frame of a board, s: they do not drift, and turns between far views are larger.
 _BOARD_DURATIONS = (0.75, MOTION_DURATION, 3.0, 6.0, 12.0)
-# Motions that have to agree with a pose: six of 11 agreed with one that was 6.6 m off, as samples of three at 22
-# clock offsets find some that do; 24 to 56 of cameras that are right.
-_MIN_MOTIONS = 10
+# Motions with which the random samples of three have a meaning, and how many of them have to agree: six of 11
+# agreed with a pose 6.6 m off, as samples at 22 clock offsets find some that do; 7 of 10 and more with right ones.
+_MIN_MOTIONS, _MIN_AGREEING = 10, 7
 # Poses by boards are this many times as precise as those of odometry that counts as right.
 _BOARD_PRECISION = 3.0
 # Offsets of clocks around one by turn rates that are compared, s: 50 ms are a degree or two of a turn.
@@ -231,10 +231,10 @@ def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free")
             f"{MOTION_DURATION:g} s), which leaves open to which side of it {name} is and how it is turned: "
             "drive curves in both directions"
         )
-    if (agreeing := round(start.inliers * start.motions)) < _MIN_MOTIONS:
+    if (agreeing := round(start.inliers * start.motions)) < _MIN_AGREEING:
         return (
             f"only {agreeing} of its {start.motions} motions together with the root agree with one pose, "
-            f"{_MIN_MOTIONS} are needed: drive longer, with more turns where it measures"
+            f"{_MIN_AGREEING} are needed: drive longer, with more turns where it measures"
         )
     if start.inliers < _MIN_INLIERS:
         return (
