@@ -23,8 +23,8 @@ def test_sums_over_persons_are_those_of_the_equations_of_all_sensors() -> None:
     persons = [LocalPerson.of(one) for one in found]
     people = add_persons(persons, reduce_persons(persons, states, NOISE, SHARED_MEAN, THIS_PROCESS), free, SHAPE)
     whole = [reduce_person(one, states, NOISE, SHARED_MEAN) for one in found]
-    columns = np.append(np.flatnonzero(free), free.size + np.arange(6))
-    information = sum(one.information for one in whole)[np.ix_(columns, columns)]
+    columns = np.append(np.flatnonzero(free), free.size + np.arange(SHAPE))
+    information = np.sum([one.information for one in whole], axis=0)[np.ix_(columns, columns)]
     np.testing.assert_allclose(people.information, information, rtol=1e-9, atol=1e-6)
     scores = np.concatenate([one.scores[:, columns] for one in whole])
     np.testing.assert_allclose(people.scores.toarray(), scores, rtol=1e-9, atol=1e-6)
