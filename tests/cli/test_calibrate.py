@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
+from calgraph.calibration.dispatch import calibrate
 from calgraph.cli.calibrate import fail_if_not_calibrated
 from calgraph.config import load_rig
 from calgraph.config.settings import AveragingMethod, RigStart
@@ -224,3 +225,11 @@ def test_a_frame_of_the_vehicle_counts_as_a_sensor_does(grade: Grade, strict: bo
     base = BaseFrame("base_link", "rear", Verdict(grade, "no floor"))
     with pytest.raises(CalibrationError, match=r"^base_link is (not calibrated|weak)"):
         fail_if_not_calibrated(Calibration("lidar", (root,), np.zeros((6, 6)), base=base), strict=strict)
+
+
+def test_python_finds_what_the_command_wrote(simulated: Path, calibrated: tuple[Path, Result]) -> None:
+    found = calibrate(simulated / "rig.yaml", simulated / "recording")
+    for sensor in load_calibration(calibrated[0]).sensors:
+        np.testing.assert_allclose(found[sensor.name].T_root_sensor, sensor.T_root_sensor, atol=1e-6)
+        assert sensor.name in repr(found)
+        assert f"<td>{sensor.name}</td>" in found._repr_html_()

@@ -17,7 +17,8 @@ from calgraph.surfaces.surface_points import fit_surfaces
 _MIN_COUNT, _MIN_DIRECTIONS = 8, 200
 # Standard deviation of surfaces that are planes, and distance up to which points are on them, m.
 _THICKNESS, _NEAR = 0.03, 0.09
-# Standard deviation of a point from its surface beside the noise of ranges, m: at grazing incidence that is small.
+# Standard deviation of a point from its surface beside the noise of ranges, m, assumed: at grazing incidence that
+# noise is next to nothing across the surface.
 _SURFACE_STDDEV = 0.0005
 # Degrees of freedom of Student's t, and fits with weights from the residuals of the one before.
 _FREEDOM, _ROUNDS = 4.0, 8
