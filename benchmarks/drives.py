@@ -107,11 +107,13 @@ def run(kind: str, rig: str, seed: int, duration: float, setup: Setup) -> list[O
     return [judge(replace(row, sensor=name), found, truth) for name in kinds if name != found.root]
 
 
+_TOPICS = {"lidar2d": "scan", "trajectory": "odometry"}
+
+
 def describe_rig(kinds: Mapping[str, str], tolerance: tuple[float, ...]) -> Rig:
     """rig.yaml of sensors by kind, the first of which is the root."""
     sensors = {
-        name: {"kind": kind, "topic": f"/{name}/{'scan' if kind == 'lidar2d' else 'points'}"}
-        for name, kind in kinds.items()
+        name: {"kind": kind, "topic": f"/{name}/{_TOPICS.get(kind, 'points')}"} for name, kind in kinds.items()
     }
     rig = Rig.model_validate({"root": next(iter(kinds)), "target": {"kind": "surroundings"}, "sensors": sensors})
     metres, degrees = tolerance

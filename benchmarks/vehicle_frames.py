@@ -2,9 +2,10 @@
 
 python benchmarks/vehicle_frames.py --seeds 300 324 --jobs 2 --csv frames.csv   # resumed from the file
 python benchmarks/vehicle_frames.py --rigs four_lidars --duration 60            # other sensors, longer
+python benchmarks/vehicle_frames.py --rigs lidar_and_odometry                   # with wheels, which determine y
 
-Errors are those of the root in the frame on the floor below the rear axle, along and about its axes; y, which a
-drive does not determine, is left out. NEES is per degree of freedom, of the axes that were measured.
+Errors are those of the root in the frame on the floor below the rear axle, along and about its axes. NEES is per
+degree of freedom, of the axes that were measured: y with wheels only.
 """
 
 from dataclasses import dataclass
@@ -22,10 +23,10 @@ from drive_kinds import build_drive_scenario
 from drives import describe_rig
 from worlds import NAN, finite, make_parser, run_worlds
 
-KINDS = {"lidar": "lidar3d", "solid_state": "lidar3d"}
-"""Sensors in space that measure the floor; 2-D scanners do not."""
-AXES = ("x", "z", "roll", "pitch", "yaw")
-"""Of the errors, of six along and about x, y and z the first, and all but the second."""
+KINDS = {"lidar": "lidar3d", "solid_state": "lidar3d", "odometry": "trajectory"}
+"""Sensors in space that measure the floor, which 2-D scanners do not; and wheels."""
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Of the errors."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,13 @@ class Frame:
     duration: float
     """s."""
     x: float = NAN
+    y: float = NAN
     z: float = NAN
     roll: float = NAN
     pitch: float = NAN
     yaw: float = NAN
     x_stddev: float = NAN
+    y_stddev: float = NAN
     z_stddev: float = NAN
     roll_stddev: float = NAN
     pitch_stddev: float = NAN
@@ -67,13 +70,13 @@ def main() -> None:
     for one in frames:
         errors = " ".join(
             f"{axis} {getattr(one, axis):.{digits}f} (σ {getattr(one, axis + '_stddev'):.{digits}f})"
-            for axis, digits in zip(AXES, (1, 1, 3, 3, 3), strict=True)
+            for axis, digits in zip(AXES, (1, 1, 1, 3, 3, 3), strict=True)
         )
         print(f"{one.rig} {one.seed} {errors} NEES {one.nees:.2f} {one.grade} {one.text[:100]}")
     located = [one for one in frames if np.isfinite(one.nees)]
     count = sum(one.y_is_null for one in located)
     print(f"\n{len(located)} of {len(frames)} drives have a frame; y is null in {count}")
-    for axis, unit in zip(AXES, ("mm", "mm", "°", "°", "°"), strict=True):
+    for axis, unit in zip(AXES, ("mm", "mm", "mm", "°", "°", "°"), strict=True):
         found = finite([getattr(one, axis) for one in frames])
         if len(found):
             sizes = np.abs(found)
@@ -89,7 +92,9 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     """Simulates a drive and calibrates it with a base frame."""
     drive = simulate_drive(build_drive_scenario("ordinary", seed, rig, duration))  # type: ignore[arg-type]
     stated = describe_rig({one.name: KINDS[one.kind] for one in drive.scenario.sensors}, (0.01, 0.3))
-    stated = stated.model_copy(update={"base": Base(frame="base_link", axle="rear")})
+    wheels = [one.name for one in drive.scenario.sensors if one.kind == "odometry"]
+    base = Base(frame="base_link", axle="rear", wheels=wheels[0] if wheels else None)
+    stated = stated.model_copy(update={"base": base})
     try:
         base = calibrate_drive(stated, drive.recording, DriveOptions(seed=seed)).base
     except CalgraphError as failure:
@@ -104,10 +109,9 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     found[:3, 3] = np.where(np.isnan(found[:3, 3]), drive.truth.T_base_root[:3, 3], found[:3, 3])
     error = se3.difference(found, drive.truth.T_base_root)
     squared = float(error[known] @ np.linalg.solve(base.covariance[np.ix_(known, known)], error[known]))
-    unit, of_axes = np.repeat([1000.0, np.degrees(1.0)], 3), [0, 2, 3, 4, 5]
-    sizes = np.concatenate([
-        np.where(np.isfinite(variances), error * unit, np.nan)[of_axes], (np.sqrt(variances) * unit)[of_axes]
-    ]).tolist()  # fmt: skip
+    unit = np.repeat([1000.0, np.degrees(1.0)], 3)
+    measured = np.where(np.isfinite(variances), error * unit, np.nan)
+    sizes = np.concatenate([measured, np.sqrt(variances) * unit]).tolist()
     return Frame(
         rig, seed, duration, **dict(zip([*AXES, *(f"{axis}_stddev" for axis in AXES)], sizes, strict=True)),
         nees=squared / len(known), grade=base.verdict.grade, y_is_null=y_is_null, text=base.verdict.reason,

@@ -354,10 +354,28 @@ def test_the_base_of_a_drive_has_defaults(tmp_path: Path) -> None:
         ("{frame: velodyne}", "base.frame: is also the frame of a sensor, got 'velodyne'"),
         ("{y: 200.0}", "base.y"),
         ("{axle: left}", "base.axle"),
+        ("{wheels: odom}", "base.wheels: must be a sensor of kind trajectory, got 'odom'"),
+        ("{wheels: lidar}", "base.wheels: must be a sensor of kind trajectory, got 'lidar'"),
     ],
 )
 def test_mistakes_of_the_base_are_named(tmp_path: Path, base: str, expected: str) -> None:
     assert expected in message(tmp_path, DRIVE.replace("BASE", base))
+
+
+WHEELS = """root: lidar
+target: {kind: surroundings}
+base: {wheels: odom, y: Y}
+sensors:
+  lidar: {kind: lidar3d, topic: /points}
+  odom: {kind: trajectory, topic: /tf, frame_id: base_link, parent: odom}
+"""
+
+
+def test_wheels_may_state_the_motion_of_the_base_and_not_y_as_well(tmp_path: Path) -> None:
+    base = load_rig(write(tmp_path, WHEELS.replace(", y: Y", ""))).base
+    assert base is not None
+    assert base.wheels == "odom"
+    assert "base.wheels: determines y: leave out base.y" in message(tmp_path, WHEELS.replace("Y", "0.1"))
 
 
 def test_a_board_has_no_base(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.vehicle import fit_pose, join_chords, locate_root, scatter_of
+from calgraph.drive.segments import Segments
+from calgraph.drive.vehicle import Wheels, fit_pose, fit_side, join_chords, locate_root, scatter_of
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, se_n, so3
 from calgraph.surfaces.floor import measure_level
@@ -195,6 +196,66 @@ def test_the_root_is_located_from_an_adjusted_drive() -> None:
     assert np.abs(error[3:]).max() < 1e-3
     assert found.T_base_root[1, 3] == 0
     assert np.isnan(np.diag(found.covariance)).tolist() == [False, True, False, False, False, False]
+
+
+def measure_wheels(base: Array, scale: float = 1.0, rng: np.random.Generator | None = None) -> Array:
+    """(K - 1,) distances of the axle's centre with an error of the radius, and slip of 0.5 % that lasts 1 s."""
+    ahead = np.einsum("ki,ki->k", np.diff(base[:, :3, 3], axis=0), (base[1:, :3, 0] + base[:-1, :3, 0]) / 2)
+    slip = np.zeros(len(ahead)) if rng is None else np.repeat(rng.normal(0, 0.005, len(ahead) // 10 + 1), 10)
+    return np.asarray(scale * ahead * (1 + slip[: len(ahead)]), dtype=np.float64)
+
+
+@pytest.mark.parametrize("scale", [0.97, 1.0, 1.02])
+def test_distances_of_wheels_determine_how_far_the_root_is_to_the_side(scale: float) -> None:
+    base = wander(60.0, np.random.default_rng(0))
+    chords = join_chords(
+        base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3), measure_wheels(base, scale)
+    )
+    pose = fit_pose(chords)
+    assert not isinstance(pose, Rejected)
+    assert np.abs(se3.difference(pose, T_BASE_ROOT)[:3]).max() < 5e-4
+
+
+def test_the_variance_of_the_side_is_that_of_its_errors() -> None:
+    distances = []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        base = wander(60.0, rng)
+        travelled = measure_wheels(base, 1.01, rng)
+        chords = join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3), travelled)
+        pose = fit_pose(chords)
+        assert not isinstance(pose, Rejected)
+        scatter = scatter_of(chords, pose)
+        assert not isinstance(scatter, Rejected)
+        distances.append((pose[1, 3] - T_BASE_ROOT[1, 3]) ** 2 / scatter[1, 1])
+    assert 0.4 < np.mean(distances) < 2.0
+
+
+def test_curves_to_one_side_leave_the_side_as_uncertain_as_the_radius_of_wheels() -> None:
+    """On a circle of 4 m a wheel that is 5 % larger looks like a root that is 0.2 m further to the left."""
+    turns = np.linspace(0, 12, 600)
+    place = 4.0 * np.column_stack([np.sin(turns), 1 - np.cos(turns), 0 * turns])
+    base = se3.pose(so3.exp(turns[:, None] * np.array([0.0, 0.0, 1.0])), place)
+    chords = join_chords(
+        base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3), measure_wheels(base, 1.03)
+    )
+    side, variance = fit_side(chords, T_BASE_ROOT)
+    assert abs(side - T_BASE_ROOT[1, 3]) < 2 * np.sqrt(variance)
+    assert np.sqrt(variance) == pytest.approx(0.2, rel=0.1)
+
+
+def test_wheels_have_a_clock_and_gaps() -> None:
+    """Their clock is 0.3 s ahead, and their trajectory ends after 40 s of 60."""
+    rng = np.random.default_rng(3)
+    base = wander(60.0, rng)
+    world = se3.inverse(base[0] @ T_BASE_ROOT)
+    drive = adjusted_drive(world @ base @ T_BASE_ROOT, se3.apply(world, floor_points(base @ T_BASE_ROOT, rng)))
+    drive = replace(drive, states=[replace(drive.states[0], clock_offset=0.3)])
+    track = Track(0.3 + STEP * np.arange(400.0), base[:400])
+    found = locate_root(drive, wheels=Wheels(0, Segments([track])))
+    assert not isinstance(found, Rejected)
+    assert np.isfinite(found.covariance).all()
+    assert abs(se3.difference(found.T_base_root, T_BASE_ROOT)[1]) < 3e-3
 
 
 def test_the_root_may_be_another_sensor_than_that_of_the_trajectory() -> None:

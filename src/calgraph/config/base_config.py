@@ -19,6 +19,8 @@ class Base(StrictModel):
     axle: Literal["rear", "front", "middle"] = "rear"
     """The axle whose wheels do not steer: ``middle`` of a robot that steers by different speeds of its wheels."""
     y: _Side | None = None
-    """Of the root, to the left of the middle of the axle, m, which no drive determines."""
+    """Of the root, to the left of the middle of the axle, m, which no drive determines without ``wheels``."""
+    wheels: str | None = None
+    """The sensor that is the odometry of the wheels: distances of the middle of the axle determine y."""
     inverted: Annotated[bool, Strict()] = False
     """Whether the z axis of the root points down."""

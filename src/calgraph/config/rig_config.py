@@ -167,8 +167,17 @@ class Rig(StrictModel):
     def _base_is_of_drives(self) -> "Rig":
         if self.base and not self.is_drive:
             raise invalid("base", "applies to robots that drive only: other targets do not determine it")
-        if self.base and self.base.frame in {spec.frame_id for spec in self.sensors.values()}:
+        if self.base is None:
+            return self
+        others = {spec.frame_id for name, spec in self.sensors.items() if name != self.base.wheels}
+        if self.base.frame in others:
             raise invalid("base.frame", f"is also the frame of a sensor, got {self.base.frame!r}")
+        if self.base.wheels is not None:
+            wheels = self.sensors.get(self.base.wheels)
+            if wheels is None or wheels.kind != "trajectory":
+                raise invalid("base.wheels", f"must be a sensor of kind trajectory, got {self.base.wheels!r}")
+            if self.base.y is not None:
+                raise invalid("base.wheels", "determines y: leave out base.y, or wheels")
         return self
 
     @model_validator(mode="after")

@@ -107,7 +107,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             SensorPose(
                 name,
                 None if k == 0 else rig.root,
-                spec.frame_id or result.frames.get(name) or name,
+                _name_frame(rig, name, result.frames),
                 spec.kind,
                 T,
                 verdict,
@@ -132,6 +132,12 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         ),
         pictures=result.pictures,
     )
+
+
+def _name_frame(rig: Rig, name: str, recorded: Mapping[str, str]) -> str:
+    """The frame of a sensor; wheels measure the motion of the vehicle's frame, which cannot be below its root."""
+    frame = rig.sensors[name].frame_id or recorded.get(name)
+    return name if not frame or (rig.base and frame == rig.base.frame) else frame
 
 
 def describe_sensor_errors(rig: Rig, names: Sequence[str], adjusted: Adjustment) -> tuple[EstimatedParameter, ...]:

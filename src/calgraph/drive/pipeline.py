@@ -91,7 +91,8 @@ def calibrate_sources(
     used = [lead, *(name for name, start in from_lead.items() if isinstance(start, MotionStart))]
     starts = from_lead if lead == rig.root else _express_in_root(rig.root, lead, from_lead)
     if rig.root not in used or not (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
-        return assemble_drive(rig, DriveResult([rig.root], frames, starts, None, findings, base=assess_base(rig)))
+        base = assess_base(rig, [], tracks, None)
+        return assemble_drive(rig, DriveResult([rig.root], frames, starts, None, findings, base=base))
     adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, stated, options.seed, progress)
     findings = [*findings, *find_wrong_poses(stated, used, *_list_poses(adjusted))]
     systematic += describe_sensor_errors(rig, used, adjusted)
@@ -99,7 +100,7 @@ def calibrate_sources(
     views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
     begin = adjusted.parts[0].trajectory.start
     findings = [*findings, *describe_changes(adjusted.changes, used, rig.root, begin)]
-    pictures, base = collect_pictures(used, starts, adjusted, root), assess_base(rig, adjusted, root)
+    pictures, base = collect_pictures(used, starts, adjusted, root), assess_base(rig, used, tracks, adjusted)
     if root:
         adjusted = change_root(adjusted, root)
         used = [rig.root, *(name for name in used if name != rig.root)]

@@ -9,6 +9,13 @@ with the sum over steps of a tenth of a second, ``ȳ`` the vehicle's left in the
 of the point of the floor below the root, ``Δθ`` the turn, ``x`` the distance to the axle, and ``κ`` the slip of
 tyres, whose angle grows with the sideways acceleration. Steps are added up before they are compared, as velocities
 are too uncertain: regression on them is biased (errors in variables). Where the axle is to the side is not in it.
+
+That needs the distances ``w`` of the axle's centre, which its wheels measure: a root to the left of it goes
+less far in curves to the left,
+
+    Σ x̄ · Δp  =  (1 + s) Σ w  -  y Σ Δθ
+
+with ``x̄`` the vehicle's front, and ``s`` the error of the wheels' radius.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,6 +28,7 @@ from scipy.signal import savgol_filter
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.segments import Segments
 from calgraph.errors import Rejected
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2, se3, se_n, so3
 from calgraph.surfaces.floor import axes_from, mean_rotations, measure_level
@@ -54,6 +62,11 @@ _NO_FRONT = Rejected("the vehicle hardly drove straight on, without which nothin
 _MIN_AHEAD = 0.6
 # Standard deviation of the slip, s²/m: tyres of rubber take 8 to 20 g per radian of their slip angle.
 _SLIP, _NO_SLIP = 0.008, 1e-6
+# Standard deviation of the radius of wheels: pressure, load and wear.
+_WHEEL_SCALE = 0.05
+# Standard deviation of y by wheels of different radii, m: turns change their mean speed as a shift by a quarter of
+# the track times the difference of radii does, 0.5 % of 1.6 m.
+_SIDE_STDDEV = 0.002
 # Distances from the axle to the middle of the vehicle, m: of robots, and of cars.
 _HALF_WHEELBASES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.1, 1.4)
 # What all measurements of the floor have in common, m and rad: ranges at grazing incidence, and beams' elevations,
@@ -77,18 +90,38 @@ class VehiclePose:
     T_base_root: Array
     """(4, 4); 0 for what the covariance does not have."""
     covariance: Array
-    """(6, 6) in the axes of the vehicle, m and rad; NaN for what was not measured, y always."""
+    """(6, 6) in the axes of the vehicle, m and rad; NaN for what was not measured, as y without wheels."""
 
 
-def locate_root(adjusted: Adjustment, root: int = 0, *, inverted: bool = False) -> VehiclePose | Rejected:
+@dataclass(frozen=True, eq=False)
+class Wheels:
+    """Odometry of the vehicle's wheels: a sensor of the solution, and its trajectory."""
+
+    number: int
+    track: Segments
+    """By its clock; its x axis is the vehicle's front."""
+
+    def measure(self, times: Array, clock_offset: float) -> Array:
+        """Distances (K - 1,) between times (K,) of the root's clock, evenly spaced, s, m; NaN in gaps."""
+        motions, known = self.track.relative(times[:-1] + clock_offset, _STEP)
+        T = se2.to_se3(motions)
+        ahead = so3.exp(so3.log(T[:, :3, :3]) / 2)[:, :, 0]
+        return np.where(known, np.einsum("ki,ki->k", ahead, T[:, :3, 3]), np.nan)
+
+
+def locate_root(
+    adjusted: Adjustment, root: int = 0, *, inverted: bool = False, wheels: Wheels | None = None
+) -> VehiclePose | Rejected:
     """The root on the vehicle, from the trajectory and the floor of an adjusted drive.
 
     Args:
         adjusted: the drive.
         root: number of the sensor that is the root.
         inverted: whether the root's z axis points down.
+        wheels: determine y.
     """
-    measure = partial(_measure_chords, root=root, inverted=inverted, sensors=_select_located(adjusted, root))
+    sensors = _select_located(adjusted, root)
+    measure = partial(_measure_chords, root=root, inverted=inverted, sensors=sensors, wheels=wheels)
     pose = fit_pose(measure(adjusted.parts, adjusted.states, np.zeros((2, 3))))
     if isinstance(pose, Rejected):
         return pose
@@ -108,8 +141,10 @@ def locate_root(adjusted: Adjustment, root: int = 0, *, inverted: bool = False) 
         moved = fit_pose(measure(*_move(adjusted, step), places))
         by_state[:, k] = 0.0 if isinstance(moved, Rejected) else se3.difference(moved, pose) / step[k]
     covariance += by_state @ adjusted.covariance @ by_state.T
+    covariance[1, 1] += fit_side(chords, pose)[1]
     planar = adjusted.parts[0].points[0].points.shape[1] == 2
-    known = np.array([chords.turned(pose) > _MIN_TURN, False, *[not planar] * 3, True])
+    turned = [one.turned(pose) > _MIN_TURN for one in (chords, chords.select(chords.have_wheels))]
+    known = np.array([*turned, *[not planar] * 3, True])
     covariance[~known], covariance[:, ~known] = np.nan, np.nan
     return VehiclePose(se3.pose(pose[:3, :3], np.where(known[:3], pose[:3, 3], 0.0)), covariance)
 
@@ -160,26 +195,23 @@ def _measure_chords(
     root: int,
     inverted: bool,
     sensors: Sequence[int],
+    wheels: Wheels | None,
 ) -> "Chords":
     """The motions of all parts, with the floor that sensors measure below places (2, 3) in the root's frame."""
     up = np.array([0.0, 0.0, -1.0 if inverted else 1.0])
     found = []
     for k, part in enumerate(parts):
-        poses = _take_steps(part, states[root].T_root_sensor)
+        times = np.arange(part.trajectory.start, part.trajectory.end, _STEP)
+        poses = se2.to_se3(part.trajectory.at(times).poses @ states[root].T_root_sensor)
         if part.points[0].points.shape[1] == 2:
             level = np.tile([*up, 0.0, 0.0, 0.0], (len(poses) - 1, 1))
         else:
             level = measure_level(_world_points(part, states, sensors), poses, up, places)
             if not np.isfinite(level).all(axis=1).any():
                 level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
-        found.append(join_chords(poses, level, places[1], k))
+        travelled = wheels and wheels.measure(times, states[wheels.number].clock_offset)
+        found.append(join_chords(poses, level, places[1], travelled, k))
     return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
-
-
-def _take_steps(part: DrivePart, T_lead_root: Array) -> Array:
-    """(K, 4, 4) poses of the root in the world of a part, a step apart."""
-    trajectory = part.trajectory
-    return se2.to_se3(trajectory.at(np.arange(trajectory.start, trajectory.end, _STEP)).poses @ T_lead_root)
 
 
 def _select_located(adjusted: Adjustment, root: int) -> list[int]:
@@ -218,8 +250,15 @@ class Chords:
     """(C, S, 3) of the axle along these axes, m/s²."""
     level: Array
     """(C, S, 6) upward normal of the floor, and a point of it, m; NaN where they are not known."""
+    travelled: Array
+    """(C, S, 1) distances of the wheels, m; NaN where they are not known."""
     block: Index
     """(C,) number of the interval that is left out with each."""
+
+    @property
+    def have_wheels(self) -> NDArray[np.bool_]:
+        """(C,) whether distances of the wheels are known."""
+        return np.asarray(np.isfinite(self.travelled).all(axis=(1, 2)))
 
     def select(self, index: NDArray[np.bool_]) -> "Chords":
         """Some of them."""
@@ -230,7 +269,7 @@ class Chords:
         return float(np.abs(self.turn.sum(axis=1) @ T_base_root[2, :3]).sum())
 
 
-def join_chords(poses: Array, level: Array, axle: Array, part: int = 0) -> Chords:
+def join_chords(poses: Array, level: Array, axle: Array, travelled: Array | None = None, part: int = 0) -> Chords:
     """The chords of a path.
 
     Args:
@@ -238,6 +277,7 @@ def join_chords(poses: Array, level: Array, axle: Array, part: int = 0) -> Chord
         level: (K - 1, 6) by step, see :func:`measure_level`.
         axle: (3,) its place in the frame of the root, m: a root ahead of it is accelerated backwards in all
             curves, by up to 0.5 m/s², which does not make the body dive.
+        travelled: (K - 1,) distances of the wheels, m.
         part: its number, so that intervals of parts differ.
     """
     R, t = se_n.rotation(poses), se_n.translation(poses)
@@ -250,10 +290,11 @@ def join_chords(poses: Array, level: Array, axle: Array, part: int = 0) -> Chord
         np.einsum("kij,kj->ki", middle, se_n.log(R[1:] @ se_n.transpose(R[:-1]))),
         np.einsum("kij,kj->ki", middle, speed),
         level,
+        np.full((len(level), 1), np.nan) if travelled is None else travelled[:, None],
     )
-    shift, turn, acceleration, floor = (one[:used].reshape(-1, _CHORD, one.shape[1]) for one in columns)
+    shift, turn, acceleration, floor, wheels = (one[:used].reshape(-1, _CHORD, one.shape[1]) for one in columns)
     block = part * _MAX_BLOCKS + np.arange(used // _CHORD) // _BLOCK
-    return Chords(shift, turn, acceleration, floor, block)
+    return Chords(shift, turn, acceleration, floor, wheels, block)
 
 
 def scatter_of(chords: Chords, pose: Array) -> Array | Rejected:
@@ -271,7 +312,7 @@ def scatter_of(chords: Chords, pose: Array) -> Array | Rejected:
 
 
 def fit_pose(chords: Chords, max_slip: float = _SLIP) -> Array | Rejected:
-    """(4, 4) ``T_base_root``, with y = 0; the slip of tyres has a standard deviation, s²/m."""
+    """(4, 4) ``T_base_root``, with y = 0 without wheels; the slip of tyres has a standard deviation, s²/m."""
     known = np.isfinite(chords.level).all(axis=2)
     if not known.any():
         return Rejected("no floor was found below the root's path: no scanner measures where the vehicle drives")
@@ -286,7 +327,29 @@ def fit_pose(chords: Chords, max_slip: float = _SLIP) -> Array | Rejected:
         return fitted
     angle, x = fitted
     R_root_base = R @ so3.exp(np.array([0.0, 0.0, angle]))
-    return np.asarray(se3.pose(R_root_base.T, np.array([-x, 0.0, height])))
+    pose = se3.pose(R_root_base.T, np.array([-x, 0.0, height]))
+    pose[1, 3], _ = fit_side(chords, pose)
+    return np.asarray(pose)
+
+
+def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float]:
+    """The root's y by the wheels, m, 0 without them, and its variance by their radius and its difference, m²."""
+    used = chords.select(chords.have_wheels)
+    if not len(used.block):
+        return 0.0, 0.0
+    ahead, up, height = T_base_root[0, :3], T_base_root[2, :3], T_base_root[2, 3]
+    shift = (used.shift - np.cross(used.turn, height * up)).sum(axis=1) @ ahead
+    travelled, turn = used.travelled.sum(axis=(1, 2)), used.turn.sum(axis=1) @ up
+    B, longer = np.column_stack([travelled, -turn]), shift - travelled
+    scale, weight = 0.01, np.ones(len(turn))
+    for _ in range(20):
+        prior = (scale / _WHEEL_SCALE) ** 2
+        inverse = np.linalg.inv((B * weight[:, None]).T @ B + np.diag([prior, 1e-12]))
+        solution = inverse @ (B * weight[:, None]).T @ longer
+        error = longer - B @ solution
+        scale = max(STDDEV_PER_MAD * float(np.median(np.abs(error))), 1e-5)
+        weight = (1 + (error / (_FAR * scale)) ** 2) ** -2.0
+    return float(solution[1]), float((inverse[1, 0] * prior * _WHEEL_SCALE) ** 2) + _SIDE_STDDEV**2
 
 
 def _fit_level(level: Array, acceleration: Array) -> tuple[Array, float]:
