@@ -9,7 +9,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.live.floor_grid import _MAX_CELLS, Cells, FloorGrid, build_floor_grid
 from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.result import Calibration, SensorPose, Verdict
+from calgraph.result import Calibration, Evidence, FloorView, Pictures, SensorPose, Verdict
 
 # The room is 10 m by 6 m; scanners are in the middle of its left and of its right wall.
 ROOM = (0.0, 10.0, -3.0, 3.0)
@@ -47,8 +47,24 @@ def build(
         SensorPose(name, None, name, "lidar2d", se2.to_se3(T), Verdict("good"))
         for name, T in list(POSES.items())[:connected]
     )
-    calibration = Calibration("left", sensors, np.zeros((6 * connected, 6 * connected)))
-    return build_floor_grid(calibration, tracked, unfinished)
+    apart = {name: found.reason for name, found in tracked.items() if isinstance(found, Rejected)}
+    calibration = Calibration(
+        "left", sensors, np.zeros((6 * connected, 6 * connected)),
+        evidence=Evidence(unconnected=apart),
+        pictures=Pictures(floor_views=tuple(draw(one.name, tracked[one.name]) for one in sensors)),
+    )  # fmt: skip
+    return build_floor_grid(calibration, unfinished)
+
+
+def draw(name: str, found: ScannerTracks | Rejected) -> FloorView:
+    assert isinstance(found, ScannerTracks)
+    T = POSES[name]
+    return FloorView(
+        name,
+        se2.apply(T, found.background),
+        tuple(se2.apply(T, track.positions) for track in found.tracks),
+        tuple(track.times for track in found.tracks),
+    )
 
 
 def at(grid: FloorGrid, cells: Cells, x: float, y: float) -> bool:

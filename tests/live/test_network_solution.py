@@ -13,7 +13,15 @@ from calgraph.network.pipeline import calibrate_network
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
-from calgraph.simulation import NetworkErrors, NetworkScenario, ScannerOptions, load_truth, simulate_network
+from calgraph.simulation import (
+    HallScenario,
+    NetworkErrors,
+    NetworkScenario,
+    ScannerOptions,
+    load_truth,
+    simulate_network,
+)
+from calgraph.simulation.hall_recording import record_hall
 
 SCENARIO = NetworkScenario(
     layout="office", duration=24.0, scanner=ScannerOptions(count=3, resolution=1.0, rate=10.0)
@@ -184,3 +192,29 @@ def test_a_scanner_moved_between_two_intervals_has_its_pose_after_that(
     assert other.T_root_sensor is not None
     assert np.linalg.norm((other.T_root_sensor - truth)[:2, 3]) < 0.02
     assert any("moved by" in remark for remark in (*found.remarks, other.reason))
+
+
+@pytest.mark.slow
+def test_lidars_of_a_hall_are_calibrated_and_drawn_on_a_level_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the last 15 s of 20; people walk on the floor between the LiDARs."""
+    monkeypatch.setattr("calgraph.live.network_solution._MAX_DURATION", 15.0)
+    record_hall(HallScenario(5, duration=20.0, lidars=("vlp16",) * 2), tmp_path, lambda *_: None)
+    rig = load_rig(tmp_path / "rig.yaml")
+    found = solve(rig, tmp_path / "recording")
+    assert found.used == pytest.approx(15.0, abs=0.2)
+    assert found.recorded == pytest.approx(20.0, abs=0.5)
+    assert [one.tracks > 0 for one in found.scanners] == [True, True]
+    truth = load_truth(tmp_path / "truth.yaml").T_root_sensor
+    places = []
+    for one in found.scanners:
+        assert one.T_root_sensor is not None
+        assert np.linalg.norm(one.T_root_sensor[:3, 3] - truth[one.name][:3, 3]) < 0.1
+        places.append(one.express_in(found.T_plan_root).origin)
+    # LiDARs hang 2 to 4 m above the floor, which is at height 0 of the plan.
+    assert all(2.0 < place[2] < 4.0 for place in places)
+    assert found.grid is not None
+    assert found.grid.walked.any()
+    low, high = found.grid.origin, found.grid.origin + found.grid.cell * np.array(found.grid.walked.shape)
+    assert all(np.all((place[:2] > low) & (place[:2] < high)) for place in places)

@@ -1,6 +1,6 @@
 """The floor of a network in cells: walls, where people walked, and where they should still walk."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 
@@ -8,18 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, uniform_filter
 
-from calgraph.geometry import Array, se3
-from calgraph.live.tracked_intervals import Tracked
+from calgraph.geometry import Array, se2
 from calgraph.network.pairs.visibility_map import BACKGROUND_MARGIN, MAX_BEAM_GAP, MIN_RANGE, RANGE_TAIL
-from calgraph.network.tracking.track import ScannerTracks
-from calgraph.result import Calibration
+from calgraph.result import Calibration, FloorView
 
 Cells = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class FloorGrid:
-    """Cells of the floor in the root's frame."""
+    """Cells of the floor plan."""
 
     origin: Array
     """(2,) corner of the first cell, m."""
@@ -42,63 +40,56 @@ _MAX_CELLS = 80
 _MAX_WALL_POINTS = 1400
 
 
-def build_floor_grid(calibration: Calibration, tracked: Tracked, unfinished: Collection[str]) -> FloorGrid | None:
-    """The floor in the views of the connected scanners.
+def build_floor_grid(calibration: Calibration, unfinished: Collection[str]) -> FloorGrid | None:
+    """The floor in the views of the connected sensors.
 
     Args:
-        calibration: of the network.
-        tracked: tracks and background by scanner.
-        unfinished: connected scanners that are not within tolerance.
+        calibration: of the network, with its floor views.
+        unfinished: connected sensors that are not within tolerance.
 
     Returns:
-        The cells; None as long as no scanners are connected.
+        The cells; None as long as no sensors are connected.
     """
-    poses = {
-        sensor.name: (sensor.T_root_sensor, found)
-        for sensor in calibration.sensors
-        if isinstance(found := tracked[sensor.name], ScannerTracks)
-    }
-    if len(poses) < 2:
+    views = calibration.pictures.floor_views
+    if len(views) < 2:
         return None
-    walls = np.concatenate([_to_root(T, found.background) for T, found in poses.values()])
-    walls = walls[np.isfinite(walls).all(axis=1)]
-    positions = np.concatenate(
-        [_to_root(T, track.positions) for T, found in poses.values() for track in found.tracks]
+    poses = [_place_on_plan(calibration, view.sensor) for view in views]
+    walls = np.concatenate([view.background for view in views])
+    everything = np.concatenate(
+        [walls, *(track for view in views for track in view.tracks), *(T[None, :2, 2] for T in poses)]
     )
-    origins = np.array([T[:2, 3] for T, _ in poses.values()])
-    everything = np.concatenate([walls, positions, origins])
     low, high = np.min(everything, axis=0), np.max(everything, axis=0)
     cell = max(_CELL, float(np.max(high - low)) / _MAX_CELLS)
     shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 1)
-    seconds = _sum_walking_time(poses.values(), low, cell, shape)
+    seconds = _sum_walking_time(views, low, cell, shape)
     x = low + cell * (np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1) + 0.5)
     observed = {
-        name: _find_observed_cells(T, found, x.reshape(-1, 2)).reshape(shape) for name, (T, found) in poses.items()
+        view.sensor: _find_observed_cells(T, view, x.reshape(-1, 2)).reshape(shape)
+        for T, view in zip(poses, views, strict=True)
     }
     return FloorGrid(
         low,
         cell,
         seconds > 0,
-        _select_wanted(observed, unfinished, seconds, cell, unconnected=len(poses) < len(tracked)),
+        _select_wanted(observed, unfinished, seconds, cell, unconnected=bool(calibration.evidence.unconnected)),
         _thin(walls, cell / 2, _MAX_WALL_POINTS),
     )
 
 
-def _to_root(T_root_scanner: Array, points: Array) -> Array:
-    """(N, 2) points of a scanner's plane in the root's frame."""
-    return np.asarray(se3.apply(T_root_scanner, np.column_stack([points, np.zeros(len(points))]))[:, :2])
+def _place_on_plan(calibration: Calibration, name: str) -> Array:
+    """(3, 3) pose of a sensor on the plan."""
+    T = calibration.pictures.T_plan_root @ calibration[name].T_root_sensor
+    return se2.pose(float(np.arctan2(T[1, 0], T[0, 0])), T[:2, 3])
 
 
-def _sum_walking_time(
-    poses: Collection[tuple[Array, ScannerTracks]], low: Array, cell: float, shape: tuple[int, ...]
-) -> Array:
-    """(X, Y) the longest time that a scanner tracked people in each cell, s."""
+def _sum_walking_time(views: Sequence[FloorView], low: Array, cell: float, shape: tuple[int, ...]) -> Array:
+    """(X, Y) the longest time that a sensor tracked people in each cell, s."""
     longest = np.zeros(shape)
-    for T, tracked in poses:
+    for view in views:
         seconds = np.zeros(shape)
-        for track in tracked.tracks:
-            cells = ((_to_root(T, track.positions) - low) / cell).astype(np.intp)
-            np.add.at(seconds, tuple(cells.T), np.gradient(track.times) if len(track.times) > 1 else 0.0)
+        for times, track in zip(view.times, view.tracks, strict=True):
+            cells = ((track - low) / cell).astype(np.intp)
+            np.add.at(seconds, tuple(cells.T), np.gradient(times) if len(times) > 1 else 0.0)
         longest = np.maximum(longest, seconds)
     return longest
 
@@ -108,12 +99,13 @@ def _sum_walking_time(
 _WALK_RANGE = 8.0
 
 
-def _find_observed_cells(T: Array, tracked: ScannerTracks, x: Array) -> Cells:
-    """(N,) in which of the positions (N, 2) of the root's frame the scanner would detect a person."""
-    inside = _to_root(se3.inverse(T), x)
+def _find_observed_cells(T: Array, view: FloorView, x: Array) -> Cells:
+    """(N,) in which of the positions (N, 2) of the plan the sensor at a pose would detect a person."""
+    inside = se2.apply(se2.inverse(T), x)
     distance = np.linalg.norm(inside, axis=1)
-    limit = _find_free_range(tracked.background, np.arctan2(inside[:, 1], inside[:, 0]), MAX_BEAM_GAP)
-    ranges = [np.linalg.norm(track.positions, axis=1) for track in tracked.tracks]
+    background = se2.apply(se2.inverse(T), view.background)
+    limit = _find_free_range(background, np.arctan2(inside[:, 1], inside[:, 0]), MAX_BEAM_GAP)
+    ranges = [np.linalg.norm(track - T[:2, 2], axis=1) for track in view.tracks]
     usual = float(np.quantile(np.concatenate(ranges), 1 - RANGE_TAIL)) if ranges else 0.0
     limit = np.minimum(limit - BACKGROUND_MARGIN, max(usual, _WALK_RANGE))
     return np.asarray((distance > MIN_RANGE) & (distance < limit))
@@ -125,10 +117,9 @@ def _find_free_range(background: Array, bearing: Array, max_gap: float) -> Array
     Beams between which there is a gap ended beyond the scanner's range, or in the one behind it: between the first
     and the last background point they are in view.
     """
-    points = background[np.isfinite(background).all(axis=1)]
-    if not len(points):
+    if not len(background):
         return np.zeros(len(bearing))
-    at, ranges = np.arctan2(points[:, 1], points[:, 0]), np.linalg.norm(points, axis=1)
+    at, ranges = np.arctan2(background[:, 1], background[:, 0]), np.linalg.norm(background, axis=1)
     bins = np.arange(-np.pi, np.pi + max_gap, max_gap)
     nearest = np.full(len(bins), np.inf)
     np.minimum.at(nearest, np.digitize(at, bins) - 1, ranges)

@@ -15,19 +15,13 @@ def prepare_live_rig(rig: Rig) -> Rig:
     """The rig that is calibrated at the end: one with a board has the session's trigger, and a background window.
 
     Raises:
-        InputError: a sensor's images are to be converted, as those of a depth camera; or it is a 3-D LiDAR of a
-            network.
+        InputError: a sensor's images are to be converted, as those of a depth camera.
     """
     for name, spec in rig.sensors.items():
         if KINDS[spec.kind].convert:
             raise InputError(
                 f"sensors.{name}: calgraph live does not take the images of a {KINDS[spec.kind].title}; record a "
                 "bag, and give it to calgraph calibrate"
-            )
-        if rig.is_network and KINDS[spec.kind].detects != "line":
-            raise InputError(
-                f"sensors.{name}: calgraph live tracks people with 2-D scanners only, as yet, and this is a "
-                f"{KINDS[spec.kind].title}; record a bag, and give it to calgraph calibrate"
             )
     if rig.is_network or rig.is_drive:
         return rig

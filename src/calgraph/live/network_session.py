@@ -9,6 +9,7 @@ from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.live.recorded_session import PAUSE, RecordedSession
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import ALL_DONE
 from calgraph.live.state import Advice, Phase, SceneState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
@@ -116,17 +117,19 @@ class NetworkSession(RecordedSession[LiveNetworkSolution]):
     def take(self, solution: LiveNetworkSolution) -> None:
         """See :meth:`RecordedSession.take`."""
         self._forecast.add(solution)
-        connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
+        connected = tuple(
+            one.express_in(solution.T_plan_root) for one in solution.scanners if one.T_root_sensor is not None
+        )
         self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
 
 
 def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) -> tuple[Phase, str]:
     if solution is None:
-        return "measuring", "Walk through the views of all scanners, one after the other and back again"
+        return "measuring", "Walk through the views of all sensors, one after the other and back again"
     if solution.problem:
         return "measuring", f"No poses yet: {solution.problem}"
     if solution.done:
-        return "ready", "All scanners are within tolerance: finish"
+        return "ready", ALL_DONE
     has_areas = solution.grid is not None and bool(solution.grid.wanted.any())
     if apart := _find_unconnected(solution):
         return "measuring", _say_where_to_walk(apart[0]) + (": try the orange areas" if has_areas else "")

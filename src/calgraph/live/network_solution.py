@@ -7,14 +7,24 @@ import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
+from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
 from calgraph.live.recorded_files import open_growing
 from calgraph.live.sensor_solution import SensorSolution, describe_sensors
-from calgraph.live.tracked_intervals import TrackingProgress, join_tracks, select_intervals, track_recording
+from calgraph.live.tracked_intervals import (
+    RecordingWindow,
+    TrackingProgress,
+    join_tracks,
+    select_intervals,
+    track_recording,
+)
 from calgraph.network.options import NetworkOptions
-from calgraph.network.pipeline import calibrate_tracks
+from calgraph.network.pipeline import calibrate_network, calibrate_tracks
+from calgraph.network.space.pipeline import has_lidars
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
 from calgraph.recording import Recording
@@ -46,6 +56,8 @@ class LiveNetworkSolution:
     """Why there is no calibration, if there is none."""
     remarks: tuple[str, ...] = ()
     """Of the calibration as a whole."""
+    T_plan_root: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) pose of the root on the plan of the floor."""
 
     @property
     def done(self) -> bool:
@@ -66,7 +78,46 @@ def solve_recording(rig: Rig, path: Path, last: LiveNetworkSolution | None) -> L
     """
     begin = time.perf_counter()
     with open_growing(path, rig.settings.limits) as recording:
-        return _solve(rig, recording, last, begin) if recording else None
+        if recording is None:
+            return None
+        if has_lidars(rig):
+            return _solve_in_space(rig, recording, begin)
+        return _solve(rig, recording, last, begin)
+
+
+# Time of a recording of 3-D LiDARs that is calibrated, the last, s: four of 32 rings take 0.6 s of work for each.
+_MAX_DURATION = 60.0
+
+
+def _solve_in_space(rig: Rig, recording: Recording, begin: float) -> LiveNetworkSolution:
+    end, recorded = recording.end, recording.end - recording.start
+    window = RecordingWindow(recording, max(recording.start, end - _MAX_DURATION), end)
+    calibration: Calibration | None = None
+    problem = ""
+    try:
+        calibration = calibrate_network(rig, window, NetworkOptions())
+    except CalgraphError as error:
+        problem = str(error)
+    scanners = tuple(
+        replace(one, tracks=_count_tracks(calibration, one.name)) for one in describe_sensors(rig, calibration)
+    )
+    return LiveNetworkSolution(
+        scanners,
+        build_floor_grid(calibration, _find_unfinished(scanners)) if calibration else None,
+        recording.start,
+        end,
+        recorded,
+        window.end - window.start,
+        seconds=time.perf_counter() - begin,
+        problem=problem,
+        remarks=calibration.further_remarks if calibration else (),
+        T_plan_root=calibration.pictures.T_plan_root if calibration else np.eye(4),
+    )
+
+
+def _count_tracks(calibration: Calibration | None, name: str) -> int:
+    views = calibration.pictures.floor_views if calibration else ()
+    return sum(len(view.tracks) for view in views if view.sensor == name)
 
 
 # Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least are
@@ -94,7 +145,7 @@ def _solve(rig: Rig, recording: Recording, last: LiveNetworkSolution | None, beg
     scanners = tuple(_add_tracks(one, tracked[one.name]) for one in describe_sensors(rig, calibration))
     return LiveNetworkSolution(
         scanners,
-        build_floor_grid(calibration, tracked, _find_unfinished(scanners)) if calibration else None,
+        build_floor_grid(calibration, _find_unfinished(scanners)) if calibration else None,
         recording.start,
         rest.end if rest else progress.until or recording.start,
         progress.duration + (rest.duration if rest else 0.0),

@@ -1,7 +1,7 @@
 """What is known of one sensor's pose while it is recorded, in rigs and networks."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,16 @@ class SensorSolution:
     def progress(self) -> float:
         """1 where all errors are within the tolerance with the probability of verdicts, less before; 0..1."""
         return min(1.0, 1 / max(self.uncertainty, 1e-9))
+
+    def express_in(self, T_plan_root: Array) -> "SensorSolution":
+        """The same with its pose (4, 4) and covariance in another frame than the root's."""
+        R = T_plan_root[:3, :3]
+        T, covariance = self.T_root_sensor, self.covariance
+        return replace(
+            self,
+            T_root_sensor=None if T is None else T_plan_root @ T,
+            covariance=None if covariance is None else R @ covariance @ R.T,
+        )
 
     @property
     def origin(self) -> Array:

@@ -6,7 +6,6 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.errors import InputError
-from calgraph.live.live_rig import prepare_live_rig
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.pipeline import check_space
 
@@ -40,8 +39,3 @@ def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
 def test_what_is_of_planar_networks_is_refused(rig: Rig, options: NetworkOptions, message: str) -> None:
     with pytest.raises(InputError, match=message):
         check_space(rig, options)
-
-
-def test_live_sessions_are_refused() -> None:
-    with pytest.raises(InputError, match=r"sensors\.sensor_0: calgraph live tracks people with 2-D scanners only"):
-        prepare_live_rig(rig_of())
