@@ -93,8 +93,8 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     drive = simulate_drive(build_drive_scenario("ordinary", seed, rig, duration))  # type: ignore[arg-type]
     stated = describe_rig({one.name: KINDS[one.kind] for one in drive.scenario.sensors}, (0.01, 0.3))
     wheels = [one.name for one in drive.scenario.sensors if one.kind == "odometry"]
-    base = Base(frame="base_link", axle="rear", wheels=wheels[0] if wheels else None)
-    stated = stated.model_copy(update={"base": base})
+    frame = Base(frame="base_link", axle="rear", wheels=wheels[0] if wheels else None)
+    stated = stated.model_copy(update={"base": frame})
     try:
         base = calibrate_drive(stated, drive.recording, DriveOptions(seed=seed)).base
     except CalgraphError as failure:

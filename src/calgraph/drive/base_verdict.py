@@ -32,8 +32,10 @@ def assess_base(
         return None
     found: VehiclePose | Rejected = Rejected("the root has no trajectory")
     if adjusted:
-        track = tracks[base.wheels] if base.wheels in used else None
-        wheels = Wheels(used.index(base.wheels), track) if isinstance(track, Segments) else None
+        wheels = None
+        if base.wheels is not None and base.wheels in used:
+            track = tracks[base.wheels]
+            wheels = Wheels(used.index(base.wheels), track) if isinstance(track, Segments) else None
         found = locate_root(adjusted, used.index(rig.root), inverted=base.inverted, wheels=wheels)
     if isinstance(found, Rejected):
         return BaseFrame(base.frame, base.axle, Verdict("unobservable", f"{found.reason}; {_ADVICE}"))

@@ -209,7 +209,7 @@ def _measure_chords(
             level = measure_level(_world_points(part, states, sensors), poses, up, places)
             if not np.isfinite(level).all(axis=1).any():
                 level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
-        travelled = wheels and wheels.measure(times, states[wheels.number].clock_offset)
+        travelled = None if wheels is None else wheels.measure(times, states[wheels.number].clock_offset)
         found.append(join_chords(poses, level, places[1], travelled, k))
     return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
 
