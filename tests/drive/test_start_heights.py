@@ -1,16 +1,21 @@
 """Heights of LiDARs on a robot that drives on a flat floor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
-from calgraph.drive.start_heights import add_heights
+from calgraph.drive.start_heights import add_heights, leave_open
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.surface_elimination import NoiseModel
 
 UP = so3.exp(np.array([0.2, -0.1, 0.3])) @ [0.0, 0.0, 1.0]
 T_ROOT_SENSOR = se3.pose(so3.exp(np.array([0.1, -0.2, 2.5])), np.array([-0.5, 0.1, 0.2]))
@@ -53,8 +58,32 @@ def test_the_height_is_that_at_which_both_measure_one_floor(height: float, sign:
 
 def test_without_a_common_floor_the_height_is_open() -> None:
     found = find(0.0, 1.0, floor=False)
-    assert isinstance(found, Rejected)
-    assert "rear and the root do not both measure the floor" in found.reason
+    assert isinstance(found, MotionStart)
+    assert found.open_height
+
+
+def test_open_heights_are_as_uncertain_as_robots_are_high() -> None:
+    """Of the first of two sensors beside the one that leads, whose pose and clock are free."""
+    free = np.zeros((3, 6 + BESIDE_POSE), dtype=bool)
+    free[1:, :7] = True
+    known = np.diag(np.tile([*[1e-4] * 3, *[1e-6] * 3, 1e-8], 2))
+    adjusted = Adjustment(
+        [SensorState(np.eye(4))] * 3, [], known, known, free, NoiseModel(np.ones(3), np.ones(4)),
+        np.zeros((3, 3)), np.zeros(3), 0.0, responses=[],
+    )  # fmt: skip
+    start = MotionStart(T_ROOT_SENSOR, 0.0, 0.7, 0.99, 50, np.full(3, 0.3), axis=UP)
+    widened = leave_open(adjusted, [replace(start, open_height=True), start]).covariance
+    change = widened - known
+    assert UP @ change[:3, :3] @ UP == pytest.approx(1.0)
+    assert np.abs(change[:3, :3] @ np.cross(UP, [1.0, 0.0, 0.0])).max() < 1e-12
+    change[:3, :3] = 0.0
+    assert np.abs(change).max() == 0.0
+
+
+def test_heights_are_open_against_a_root_of_open_height() -> None:
+    start = MotionStart(T_ROOT_SENSOR, 0.0, 0.7, 0.99, 50, np.full(3, 0.3), axis=UP)
+    assert start.relative_to(replace(start, open_height=True)).open_height
+    assert not start.relative_to(start).open_height
 
 
 def test_a_stated_height_is_taken() -> None:

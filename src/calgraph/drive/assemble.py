@@ -32,6 +32,10 @@ _UNVERIFIED_TILT = (
     "only rocking of the robot shows the height and tilt of a 2-D scanner, and another place may fit as well: "
     "beside 3-D LiDARs, they are weak in this version"
 )
+_OPEN_HEIGHT = (
+    "the robot turned about one axis only, and it and the root do not both measure the floor, which leaves its "
+    "height open: drive over ramps, too, let both measure the floor, or state it as a prior"
+)
 # Surfaces by which maps of two sensors have to agree in each direction, chained to the root: 14 and more in drives
 # of 30 s and in 14 of 15 minutes of real scans (7 in the other, which is weak); 2.5 at most for 6 sensors whose
 # odometry failed and 4 beside lorries.
@@ -175,6 +179,8 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array, start: Moti
             "moved along before one of them, as a lorry does, or odometry lost its way; drive slower, where walls "
             "and furniture are near"
         )
+    if isinstance(start, MotionStart) and start.open_height:
+        reasons.append(_OPEN_HEIGHT)
     connected = label_parts(len(measuring), np.argwhere(adjusted.agreement >= _MIN_AGREEMENT))
     if 0 < len(views) < MIN_VIEWS:
         reasons.append(

@@ -20,7 +20,7 @@ from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.sources.camera import CameraSource, find_boards
 from calgraph.drive.start import MotionStart, StartMotion
-from calgraph.drive.start_heights import add_heights
+from calgraph.drive.start_heights import add_heights, leave_open
 from calgraph.drive.start_scanners import place_scanners
 from calgraph.drive.start_tree import choose_lead, solve_starts
 from calgraph.drive.stated_poses import StatedPose, find_wrong_poses, resolve_stated_poses
@@ -95,6 +95,9 @@ def calibrate_sources(
         return assemble_drive(rig, DriveResult([rig.root], frames, starts, None, findings, base=base))
     adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, stated, options.seed, progress)
     findings = [*findings, *find_wrong_poses(stated, used, *_list_poses(adjusted))]
+    adjusted = leave_open(
+        adjusted, [start for name in used[1:] if isinstance(start := from_lead[name], MotionStart)]
+    )
     systematic += describe_sensor_errors(rig, used, adjusted)
     root = used.index(rig.root)
     views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}

@@ -76,6 +76,8 @@ class MotionStart:
     space, where turns about two axes determine the rotation."""
     axis: Array | None = None
     """(3,) about which alone the root turned, in its frame, where the pose is at no height along it."""
+    open_height: bool = False
+    """Whether it has no height along ``axis`` from a floor or ceiling that both measured."""
     by_boards: bool = False
     """Whether the clock is that of motions before boards, which turn rates show poorly."""
 
@@ -87,6 +89,7 @@ class MotionStart:
             T_root_sensor=T,
             clock_offset=self.clock_offset - other.clock_offset,
             correlation=min(self.correlation, other.correlation),
+            open_height=self.open_height or other.open_height,
         )
 
 
