@@ -1,4 +1,4 @@
-"""The problems of frozen.py by options: starts, priors, checks, moving boards, lenses, graphs."""
+"""The problems of frozen.py by options: starts, priors, checks, moving boards, graphs."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -11,7 +11,6 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-import lens_models
 import msg_cal
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.geometry import Array, se3, se_n
@@ -24,7 +23,6 @@ from calgraph.result.prior_file import PriorFile
 from calgraph.rig.bundle.priors import RigidFile
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.verification import bootstrap_covariances, compare_extrinsics
@@ -102,8 +100,6 @@ def list_option_problems() -> Iterator[tuple[str, Make]]:
     for speed, spread, readout in ((0.1, 0.0, 0.0), (0.3, 0.01, 0.02), (0.3, 0.05, 0.0), (1.0, 0.05, 0.02)):
         motion = MovingBoardOptions(speed=speed, spread=spread, rate=10.0, jitter=0.002, readout=readout)
         yield f"moving_boards/{speed:g}/{spread:g}/{readout:g}/0", partial(_moving, motion, 0)
-    for seed, warp in product(range(4), (0.0, 0.3)):
-        yield f"lens_models/{warp:g}/{seed}", partial(_lens, seed, warp)
     for n, wrong, sparse in product((2, 3), (0.2, 0.4), (False, True)):
         name = f"graphs/se{n}/{wrong:g}/{'sparse' if sparse else 'complete'}/0"
         yield name, partial(_graph, n, wrong, sparse=sparse)
@@ -210,12 +206,6 @@ def _moving(motion: MovingBoardOptions, seed: int) -> Calibration:
     world = build_world(moving_scenario(), seed, images=False)
     rig, captured, _ = simulate_moving_detections(world, seed, motion, IdealDetectorOptions(scans_per_hold=1))
     return calibrated(rig, captured, seed)
-
-
-def _lens(seed: int, warp: float) -> object:
-    """The intrinsics alone."""
-    views = lens_models.simulate_views(lens_models.draw_lens(seed), seed, 12, warp)
-    return estimate_intrinsics(lens_models.RIG, "camera", views)
 
 
 def _graph(n: int, wrong: float, *, sparse: bool) -> dict[str, object]:
