@@ -18,8 +18,8 @@ from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotatio
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
-from calgraph.result.prior_file import PriorFile
 from calgraph.rig.bundle.priors import RigidFile
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.captures.detect import CaptureSet

@@ -16,7 +16,7 @@ from dataclasses import replace
 from calgraph.config import Tolerance
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.simulation import build_network, network_rig, network_truth, simulate_scans
 from judged_sensors import Outcome, Truth, judge, list_worlds, make_judging_parser, measure, show_outcomes
 from network_model_error_kinds import KINDS, ROOMS, build_scenario, list_cases

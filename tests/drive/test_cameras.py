@@ -13,8 +13,8 @@ from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.parallel.engine import THIS_PROCESS
 from calgraph.parallel.progress import no_progress
-from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.input_checks import InputMonitor
+from calgraph.recording.record_list import MessageRecording
 from calgraph.sensors import CameraModel, Image
 from calgraph.sensors.kinds.stated import Intrinsics
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, simulate_drive

@@ -6,7 +6,7 @@ import pytest
 from calgraph.config import FoundTopic
 from calgraph.geometry import Array
 from calgraph.recording import MessageRecording, Recording
-from calgraph.recording.building_network import find_building_network
+from calgraph.recording.moving_robot import find_building_network
 from calgraph.sensors import Message, PointCloud
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, HallScenario, simulate_drive, simulate_hall
 

@@ -15,9 +15,8 @@ from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import Recording, correct_stamps, find_topics, open_recording
-from calgraph.recording.building_network import find_building_network
 from calgraph.recording.clocks import compare_clocks
-from calgraph.recording.moving_robot import find_moving_robot
+from calgraph.recording.moving_robot import find_building_network, find_moving_robot
 from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.rig.captures.empty_start import find_empty_start
 from calgraph.sensors.kinds import KINDS

@@ -16,8 +16,8 @@ from calgraph.io.atomic import replace_folder_atomically
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.parallel.processes import available_cores
 from calgraph.simulation import HallScenario, LayoutName, NetworkScenario, simulate_network
-from calgraph.simulation.hall_recording import record_hall
 from calgraph.simulation.hall_scenario import LidarModel
+from calgraph.simulation.hall_simulation import record_hall
 
 _PANELS = {
     "layout": "Building",

@@ -28,8 +28,12 @@ from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.pipeline import calibrate_in_space, check_space, has_lidars
 from calgraph.network.step_log import log_network
-from calgraph.network.timed_tracks import track_with_beam_times
-from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec
+from calgraph.network.track_recording import (
+    forget_unused_beams,
+    moving_target,
+    scanner_spec,
+    track_with_beam_times,
+)
 from calgraph.network.tracking.stationarity import select_interval
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.parallel.engine import MapEngine

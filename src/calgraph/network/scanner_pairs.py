@@ -10,8 +10,12 @@ from calgraph.config import Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.errors import Rejected
 from calgraph.graph.averaging import select_averaging
-from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOCK
-from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.network.graph.clock_mounting_consensus import (
+    MAX_EVIDENCE_RATIO,
+    SAME_CLOCK,
+    ClockMountingSolution,
+    resolve_clocks_and_mountings,
+)
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkMethod, NetworkOptions
 from calgraph.network.pairs.clock_mounting_search import (

@@ -25,8 +25,7 @@ from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.file_names import FileStamps, NamedFiles, resolve_stamps, split_by_sensor
 from calgraph.recording.images import decode_image, decode_png_depths
 from calgraph.recording.pcd import read_pcd, read_ply
-from calgraph.recording.point_cloud_columns import cloud_from_columns
-from calgraph.recording.point_text import is_point_table, parse_points
+from calgraph.recording.point_cloud_columns import cloud_from_columns, is_point_table, parse_points
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 

@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
-from calgraph.recording.bag_metadata import RecordedFile, write_metadata
+from calgraph.recording.bag_files import RecordedFile, write_metadata
 from calgraph.recording.images import encode_image
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 

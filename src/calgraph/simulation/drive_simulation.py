@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.sensors import LaserScan, Message, PointCloud, Pose, TurnRate
 from calgraph.simulation.drive_beams import draw_scanner_errors, measure, sweep_columns
 from calgraph.simulation.drive_boards import (

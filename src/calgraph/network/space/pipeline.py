@@ -20,7 +20,7 @@ from calgraph.network.space.observe import observe_clouds
 from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
-from calgraph.network.timed_tracks import track_with_beam_times
+from calgraph.network.track_recording import track_with_beam_times
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.kept_values import Kept
