@@ -35,7 +35,6 @@ from calgraph.simulation import (
     SpinningOptions,
     build_world,
 )
-from efficiency import without_uncertainty
 from frozen_rigs import Make, calibrated
 from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_rigs import rig_world
@@ -141,6 +140,22 @@ def _changed(what: str) -> Calibration:
         tolerance = rig.tolerance.model_copy(update={"translation": metres, "rotation": degrees})
         rig = rig.model_copy(update={"tolerance": tolerance})
     return calibrated(rig, captured, 3)
+
+
+def without_uncertainty(rig: Rig) -> Rig:
+    """The rig with priors that state that nothing has a systematic error."""
+    sensors = {
+        name: spec.model_copy(update={"uncertainty": exact(spec.uncertainty)})
+        for name, spec in rig.sensors.items()
+    }
+    (board,) = rig.boards
+    target = board.model_copy(update={"uncertainty": exact(board.uncertainty)})
+    return rig.model_copy(update={"sensors": sensors, "target": target})
+
+
+def exact(uncertainty: Any) -> Any:
+    """Standard deviations of zero."""
+    return uncertainty.model_copy(update=dict.fromkeys(type(uncertainty).model_fields, 0.0))
 
 
 def given_poses(root: str, poses: Mapping[str, Array], offset: float) -> ExtrinsicsFile:
