@@ -1,4 +1,4 @@
-"""The problems of frozen.py by options: starts, priors, checks, moving boards, graphs."""
+"""The problems of frozen.py by options: starts, priors, checks, graphs."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -36,10 +36,8 @@ from calgraph.simulation import (
     build_world,
 )
 from frozen_rigs import Make, calibrated
-from ideal_detections import IdealDetectorOptions, simulate_detections
+from ideal_detections import simulate_detections
 from model_error_rigs import rig_world
-from moving_boards import MovingBoardOptions, simulate_moving_detections
-from moving_boards import scenario as moving_scenario
 
 NO_CAMERA, NO_LASER, NO_SPINNING = CameraOptions(count=0), LaserOptions(count=0), SpinningOptions(count=0)
 APRILGRID = Board(
@@ -96,9 +94,6 @@ def list_option_problems() -> Iterator[tuple[str, Make]]:
         for offset in (0.0, 0.004, 0.05):
             yield f"rigs/check/{rig}/{offset:g}/3", partial(_checked, rig, offset)
     yield "rigs/rigid/five_wrong/3", partial(_rigid, "five", 0.03)
-    for speed, spread, readout in ((0.1, 0.0, 0.0), (0.3, 0.01, 0.02), (0.3, 0.05, 0.0), (1.0, 0.05, 0.02)):
-        motion = MovingBoardOptions(speed=speed, spread=spread, rate=10.0, jitter=0.002, readout=readout)
-        yield f"moving_boards/{speed:g}/{spread:g}/{readout:g}/0", partial(_moving, motion, 0)
     for n, wrong, sparse in product((2, 3), (0.2, 0.4), (False, True)):
         name = f"graphs/se{n}/{wrong:g}/{'sparse' if sparse else 'complete'}/0"
         yield name, partial(_graph, n, wrong, sparse=sparse)
@@ -215,12 +210,6 @@ def _checked(rig: str, offset: float) -> tuple[object, ...]:
     stated, captured, truth = _detected(rig)
     problem = build_problem_from_captures(stated, captured, RigOptions(), np.random.default_rng(3))
     return compare_extrinsics(problem, given_poses(stated.root, _frames(stated, truth), offset))
-
-
-def _moving(motion: MovingBoardOptions, seed: int) -> Calibration:
-    world = build_world(moving_scenario(), seed, images=False)
-    rig, captured, _ = simulate_moving_detections(world, seed, motion, IdealDetectorOptions(scans_per_hold=1))
-    return calibrated(rig, captured, seed)
 
 
 def _graph(n: int, wrong: float, *, sparse: bool) -> dict[str, object]:

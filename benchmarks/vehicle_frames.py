@@ -30,7 +30,7 @@ AXES = ("x", "z", "roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class Frame:
-    """Of one drive: errors and standard deviations, mm and degrees."""
+    """Of one drive: errors, mm and degrees."""
 
     rig: str
     seed: int
@@ -41,11 +41,6 @@ class Frame:
     roll: float = NAN
     pitch: float = NAN
     yaw: float = NAN
-    x_stddev: float = NAN
-    z_stddev: float = NAN
-    roll_stddev: float = NAN
-    pitch_stddev: float = NAN
-    yaw_stddev: float = NAN
     nees: float = NAN
     grade: str = "none"
     y_is_null: bool = True
@@ -65,10 +60,7 @@ def main() -> None:
     ]
     frames = run_worlds(Frame, run, work, arguments, key=3)
     for one in frames:
-        errors = " ".join(
-            f"{axis} {getattr(one, axis):.{digits}f} (σ {getattr(one, axis + '_stddev'):.{digits}f})"
-            for axis, digits in zip(AXES, (1, 1, 3, 3, 3), strict=True)
-        )
+        errors = " ".join(f"{axis} {getattr(one, axis):.3f}" for axis in AXES)
         print(f"{one.rig} {one.seed} {errors} NEES {one.nees:.2f} {one.grade} {one.text[:100]}")
     located = [one for one in frames if np.isfinite(one.nees)]
     count = sum(one.y_is_null for one in located)
@@ -104,13 +96,12 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     found[:3, 3] = np.where(np.isnan(found[:3, 3]), drive.truth.T_base_root[:3, 3], found[:3, 3])
     error = se3.difference(found, drive.truth.T_base_root)
     squared = float(error[known] @ np.linalg.solve(base.covariance[np.ix_(known, known)], error[known]))
-    unit, of_axes = np.repeat([1000.0, np.degrees(1.0)], 3), [0, 2, 3, 4, 5]
-    sizes = np.concatenate([
-        np.where(np.isfinite(variances), error * unit, np.nan)[of_axes], (np.sqrt(variances) * unit)[of_axes]
-    ]).tolist()  # fmt: skip
+    sizes = np.where(np.isfinite(variances), error * np.repeat([1000.0, np.degrees(1.0)], 3), np.nan)[
+        [0, 2, 3, 4, 5]
+    ]
     return Frame(
-        rig, seed, duration, **dict(zip([*AXES, *(f"{axis}_stddev" for axis in AXES)], sizes, strict=True)),
-        nees=squared / len(known), grade=base.verdict.grade, y_is_null=y_is_null, text=base.verdict.reason,
+        rig, seed, duration, *sizes[[0, 2, 3, 4, 5]].tolist(), nees=squared / len(known), grade=base.verdict.grade,
+        y_is_null=y_is_null, text=base.verdict.reason,
     )  # fmt: skip
 
 
