@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calgraph.calibration.dispatch import calibrate
+from calgraph.calibration.dispatch import calibrate, compare
 from calgraph.calibration.result_files import format_comparison, make_provenance, write_results
 from calgraph.config import ChangeRules, Rig, load_rig
-from calgraph.drive.audit import compare_drive_extrinsics
 from calgraph.drive.options import DriveOptions
 from calgraph.errors import WorkerKilledError
 from calgraph.fleet.changes import Comparison, Move, compare_poses, pair_recordings
@@ -29,13 +28,10 @@ from calgraph.fleet.recording_result import (
 from calgraph.io.atomic import replace_folder_atomically, write_text
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.network.options import NetworkOptions
-from calgraph.network.pipeline import compare_network_extrinsics
 from calgraph.parallel.engine import Engine
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem
-from calgraph.rig.verification import compare_extrinsics
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 
@@ -108,16 +104,7 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
     comparison = None
     with open_recordings([task.path], rig.settings.limits) as recording:
         if task.action == "check" and given:
-            if rig.is_network:
-                network_options = NetworkOptions(seed=task.seed, cache=cache)
-                calibration, comparison = compare_network_extrinsics(rig, recording, given, network_options)
-            elif rig.is_drive:
-                drive_options = DriveOptions(seed=task.seed)
-                calibration, comparison = compare_drive_extrinsics(rig, recording, given, drive_options)
-            else:
-                problem = build_problem(rig, recording, RigOptions(seed=task.seed, cache=cache))
-                calibration, comparison = compare_extrinsics(problem, given)
-                rig = problem.rig
+            calibration, comparison, rig = compare(rig, recording, given, seed=task.seed, cache=cache)
         else:
             calibration = calibrate(rig, recording, _make_options(rig, task.seed, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
