@@ -12,14 +12,14 @@ from calgraph.config.settings import CenterFeature, NetworkEstimationSettings, T
 from calgraph.geometry import Array, se2
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.graph.tree_consensus import compute_tree_poses
-from calgraph.network.graph.network_initialization import (
+from calgraph.graph.random_trees import compute_tree_poses
+from calgraph.network.graph.network_graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,
-    initialize_network,
     published_weights,
 )
+from calgraph.network.graph.network_initialization import initialize_network
 from calgraph.network.joint.estimate import solve_network
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import pair_samples, resample_tracks

@@ -6,9 +6,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph import tree_consensus
+from calgraph.graph import random_trees
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.graph.tree_consensus import compute_tree_poses, improve_by_votes
+from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
 from pose_graphs import complete, measured, random_poses, ring, true_poses, with_wrong
 
 BOTH = pytest.mark.parametrize("n", [2, 3])
@@ -81,7 +81,7 @@ def test_half_of_the_nodes_that_gain_votes_move_in_a_sweep(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All of 400 nodes are misplaced: 200 move, with a standard deviation of 10."""
-    monkeypatch.setattr(tree_consensus, "_MAX_SWEEPS", 1)
+    monkeypatch.setattr(random_trees, "_MAX_SWEEPS", 1)
     T, graph = build_star(400, rng)
     start = np.concatenate([T[:1], random_poses(400, 2, rng)])
     found = improve_by_votes(graph, np.ones(400), start, 16.0, rng)
@@ -92,7 +92,7 @@ def test_half_of_the_nodes_that_gain_votes_move_in_a_sweep(
 def test_the_node_of_largest_gain_moves_in_every_sweep(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tree_consensus, "_MAX_SWEEPS", 1)
+    monkeypatch.setattr(random_trees, "_MAX_SWEEPS", 1)
     T, graph = build_star(3, rng)
     for _ in range(20):
         start = np.concatenate([T[:1], random_poses(3, 2, rng)])

@@ -8,8 +8,9 @@ import pytest
 from calgraph.geometry import Array
 from calgraph.graph import tree_consensus
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.graph.spanning_tree import find_minimum_tree
-from calgraph.graph.tree_consensus import _draw_edge_costs, average_poses, compute_tree_poses
+from calgraph.graph.tree_consensus import _draw_edge_costs, average_poses
 from pose_graphs import complete, measured, true_poses
 
 

@@ -15,8 +15,8 @@ from calgraph.geometry import Array, se_n
 from calgraph.graph.cycles import Cycle, find_cycle_basis, incidence_matrix, list_incident_edges
 from calgraph.graph.graph_optimization import assemble_blocks, solve_sparse
 from calgraph.graph.pose_graph import Edges, PoseAveraging, PoseGraph, PoseGraphSolution
+from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.graph.spanning_tree import find_minimum_tree
-from calgraph.graph.tree_consensus import compute_tree_poses
 from calgraph.solver.ransac import select_best_of_groups
 
 

@@ -1,4 +1,4 @@
-"""Simulation of stationary 3-D LiDARs, and 2-D scanners, in a hall with people who walk; its files and truth."""
+"""Simulation of stationary 3-D LiDARs, and 2-D scanners, in a hall with people; its files and ground truth."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace

@@ -5,7 +5,7 @@ import numpy as np
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraphSolution
 from calgraph.network.graph.cuts import AmbiguousPart, AveragedGraph, find_ambiguous_parts
-from calgraph.network.graph.network_initialization import build_network_graph
+from calgraph.network.graph.network_graph import build_network_graph
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 

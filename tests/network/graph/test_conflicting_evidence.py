@@ -7,7 +7,7 @@ import numpy as np
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.graph.cuts import AveragedGraph, ConflictingEvidence, find_conflicting_evidence
-from calgraph.network.graph.network_initialization import build_network_graph, edge_evidence
+from calgraph.network.graph.network_graph import build_network_graph, edge_evidence
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 

@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.graph.network_initialization import (
+from calgraph.network.graph.network_graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,

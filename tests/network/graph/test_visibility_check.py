@@ -16,11 +16,8 @@ from calgraph.network.graph.cuts import (
     _compare_detections,
     find_visibility_conflict,
 )
-from calgraph.network.graph.network_initialization import (
-    NetworkInitialization,
-    build_network_graph,
-    initialize_network,
-)
+from calgraph.network.graph.network_graph import build_network_graph
+from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations

@@ -15,7 +15,8 @@ from calgraph.geometry import Array, Index, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.spanning_tree import walk_tree
 from calgraph.network.checks.remedies import find_network_remedies
-from calgraph.network.graph.network_initialization import NetworkInitialization, compute_joint_covariance
+from calgraph.network.graph.network_graph import compute_joint_covariance
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.body_equations import PredictedBeams, predict_beams
 from calgraph.network.joint.error_sources import compute_error_budget
 from calgraph.network.joint.estimate import NetworkSolution

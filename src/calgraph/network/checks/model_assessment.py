@@ -16,7 +16,8 @@ from calgraph.network.checks.consistency_tests import (
     find_inconsistent_parts,
     measure_scatter,
 )
-from calgraph.network.graph.network_initialization import NetworkInitialization, compute_joint_covariance
+from calgraph.network.graph.network_graph import compute_joint_covariance
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.contributions import split_contributions
 from calgraph.network.joint.estimate import NetworkSolution
