@@ -155,7 +155,7 @@ def solve_at_truth(
     blocks = bound.reshape(len(bundle.sensors), 6, len(bundle.sensors), 6)
     unbiased = update_noise(replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance)), state)
     H, g, _ = linearize_bundle(unbiased, state).eliminate_boards()
-    steps = -np.linalg.solve(H, g)[: 6 * bundle.body_count].reshape(-1, 6)
+    steps = np.asarray(-np.linalg.solve(H, g)[: 6 * bundle.body_count].reshape(-1, 6))
     ideal = se3.retract(state.T_root_sensor[1:], steps)
     others = bundle.sensors[1:]
     return {n: blocks[i, :, i] for i, n in enumerate(others, 1)}, dict(zip(others, ideal, strict=True))

@@ -96,12 +96,11 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     found[:3, 3] = np.where(np.isnan(found[:3, 3]), drive.truth.T_base_root[:3, 3], found[:3, 3])
     error = se3.difference(found, drive.truth.T_base_root)
     squared = float(error[known] @ np.linalg.solve(base.covariance[np.ix_(known, known)], error[known]))
-    sizes = np.where(np.isfinite(variances), error * np.repeat([1000.0, np.degrees(1.0)], 3), np.nan)[
-        [0, 2, 3, 4, 5]
-    ]
+    sizes = np.where(np.isfinite(variances), error * np.repeat([1000.0, np.degrees(1.0)], 3), np.nan)
+    x, _, z, roll, pitch, yaw = sizes.tolist()
     return Frame(
-        rig, seed, duration, *sizes[[0, 2, 3, 4, 5]].tolist(), nees=squared / len(known), grade=base.verdict.grade,
-        y_is_null=y_is_null, text=base.verdict.reason,
+        rig, seed, duration, x, z, roll, pitch, yaw, squared / len(known), base.verdict.grade, y_is_null,
+        base.verdict.reason,
     )  # fmt: skip
 
 
