@@ -266,12 +266,8 @@ def _image(file: _File) -> Image:
     return Image(file.stamp, "", decode_image(data, limits=file.limits), depths)
 
 
-def _pcd(file: _File) -> PointCloud:
-    return cloud_from_columns(read_pcd(file.path, file.limits), file.stamp)
-
-
-def _ply(file: _File) -> PointCloud:
-    return cloud_from_columns(read_ply(file.path, file.limits), file.stamp)
+def _cloud(read: Callable[[Path, LimitSettings], Mapping[str, Array]], file: _File) -> PointCloud:
+    return cloud_from_columns(read(file.path, file.limits), file.stamp)
 
 
 @contextmanager
@@ -358,9 +354,9 @@ def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.n
 _TEXT = ".txt"
 _READERS: dict[str, Callable[[_File], Message]] = {
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"), _image),
-    ".pcd": _pcd,
-    ".pcd.gz": _pcd,
-    ".ply": _ply,
+    ".pcd": partial(_cloud, read_pcd),
+    ".pcd.gz": partial(_cloud, read_pcd),
+    ".ply": partial(_cloud, read_ply),
     ".npz": _npz,
     ".csv": _csv,
     **dict.fromkeys((".xyz", ".pts", ".asc", _TEXT), _points),

@@ -4,7 +4,6 @@ Or whether it is of LiDARs at rest in a building: what moves is near some and fa
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -32,45 +31,40 @@ _MIN_SHARE = {"lidar2d": 0.5, "lidar3d": 0.3}
 _MIN_EXTENT = 2.0
 
 
-@dataclass(frozen=True)
-class MovingRobot:
-    """What shows that a recording is of a robot that drives."""
-
-    reason: str
-    """In a sentence without full stop."""
-
-
-def find_moving_robot(recording: Recording, topics: Sequence[FoundTopic]) -> MovingRobot | None:
-    """Whether its scanners, or without scanners the poses of other programs, move; None if not.
+def find_moving_robot(recording: Recording, topics: Sequence[FoundTopic]) -> str:
+    """How its scanners, or without scanners the poses of other programs, show that a robot drives.
 
     Args:
         recording: is read once, and few of its messages are decoded.
         topics: of the recording.
+
+    Returns:
+        A sentence without full stop; empty if they do not.
     """
     if recording.end - recording.start < MIN_DURATION:
-        return None
+        return ""
     scanners = [topic for topic in topics if topic.kind in _MIN_SHARE and topic.count and not topic.problem]
     if not scanners:
         return _find_moving_pose(recording, topics)
     if any(topic.count < MIN_COUNT for topic in scanners):
-        return None
+        return ""
     shares = np.array(measure_changes(recording, [topic.name for topic in scanners]))
     if np.mean(shares / [_MIN_SHARE[topic.kind] for topic in scanners]) < 1:
-        return None
-    return MovingRobot(f"what scanners measure changes in {shares.mean():.0%} of all directions on the way")
+        return ""
+    return f"what scanners measure changes in {shares.mean():.0%} of all directions on the way"
 
 
-def _find_moving_pose(recording: Recording, topics: Sequence[FoundTopic]) -> MovingRobot | None:
+def _find_moving_pose(recording: Recording, topics: Sequence[FoundTopic]) -> str:
     """The same by poses, where no camera or scanner is recorded."""
     moving = [t.name for t in topics if motion_kind_of(t.type) == "trajectory" and t.count >= MIN_COUNT]
     if any(topic.kind in KINDS for topic in topics):
-        return None
+        return ""
     for topic in moving:
         messages = (record.decode() for record in recording.records([topic]))
         places = np.array([one.position for one in messages if isinstance(one, Pose)]).reshape(-1, 3)
         if len(places) and np.ptp(places, axis=0).max() > _MIN_EXTENT:
-            return MovingRobot(f"the poses of {topic} move by {np.ptp(places, axis=0).max():.1f} m")
-    return None
+            return f"the poses of {topic} move by {np.ptp(places, axis=0).max():.1f} m"
+    return ""
 
 
 def measure_changes(recording: Recording, topics: Sequence[str]) -> list[float]:
@@ -131,35 +125,32 @@ _MAX_CHANGED = 0.15
 _MIN_DIFFERENCE, _SHARE_OF_TIMES, _QUANTILES = 2.5, 0.25, (0.1, 0.9)
 
 
-@dataclass(frozen=True)
-class BuildingNetwork:
-    """What shows that LiDARs are fixed in a building."""
+def find_building_network(recording: Recording, topics: Sequence[FoundTopic]) -> str:
+    """How its sensors show that they are fixed in a building.
 
-    reason: str
-    """In a sentence without full stop."""
-
-
-def find_building_network(recording: Recording, topics: Sequence[FoundTopic]) -> BuildingNetwork | None:
-    """Whether its sensors are LiDARs at rest, one in space at least, some metres apart, and something moves.
+    They are LiDARs at rest, one in space at least, some metres apart, and something moves.
 
     Args:
         recording: is read once, and few of its messages are decoded.
         topics: of the recording.
+
+    Returns:
+        A sentence without full stop; empty if they do not.
     """
     sensors = [topic for topic in topics if topic.kind in KINDS and topic.count and not topic.problem]
     kinds = [topic.kind for topic in sensors]
     if len(sensors) < 2 or "lidar3d" not in kinds or any(kind not in ("lidar2d", "lidar3d") for kind in kinds):
-        return None
+        return ""
     if any(topic.count < MIN_COUNT for topic in sensors):
-        return None
+        return ""
     if recording.end - recording.start < MIN_DURATION or find_triggers(topics)[0]:
-        return None
+        return ""
     distances = measure_moving(recording, [topic.name for topic in sensors])
     apart = max(_compare_distances(distances[a.name], distances[b.name]) for a, b in combinations(sensors, 2))
     if apart < _MIN_DIFFERENCE:
-        return None
+        return ""
     what = "LiDARs" if "lidar2d" in kinds else "3-D LiDARs"
-    return BuildingNetwork(f"{what} are at rest, and what moves is {apart:.0f} m nearer to one than to another")
+    return f"{what} are at rest, and what moves is {apart:.0f} m nearer to one than to another"
 
 
 def measure_moving(recording: Recording, topics: Sequence[str]) -> dict[str, Array]:
