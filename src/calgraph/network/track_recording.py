@@ -15,8 +15,7 @@ from calgraph.network.graph.beam_times import recognize_beam_times
 from calgraph.network.joint.legs import measures_legs
 from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import average_pairs, pair_scanners
-from calgraph.network.step_log import log_tracks
-from calgraph.network.strategies import select_center_estimator
+from calgraph.network.tracking.features import CenterEstimator, measure_centroids
 from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder, add_beam_times, find_untimed_scans
 from calgraph.network.tracking.track import TRACK_TYPES, ScannerTracks
 from calgraph.network.tracking.track_scanner import track_runs
@@ -93,7 +92,7 @@ def track_people(
             options.cache.write(recording, _TRACKS, inputs[name], one)
         progress("tracking", len(found) / len(rig.sensors))
     tracks = {name: found[name].tracks for name in rig.sensors}
-    log_tracks(tracks)
+    _log_tracks(tracks)
     stated = {name: frame for name in rig.sensors if (frame := found[name].frame) is not None}
     return tracks, stated
 
@@ -272,3 +271,25 @@ def _displacement(tracked: ScannerTracks) -> float:
     x = np.concatenate(positions)
     times = scans.turn_times(np.arctan2(x[:, 1], x[:, 0]))
     return _WALKING_SPEED * float(np.ptp(times))
+
+
+def select_center_estimator(feature: CenterFeature) -> CenterEstimator | None:
+    """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
+    match feature:
+        case "nls":
+            return None
+        case "com":
+            return measure_centroids
+        case "ellipse":
+            from calgraph.network.published.direct_ellipses import measure_direct_ellipses
+
+            return measure_direct_ellipses
+
+
+def _log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
+    """Logs the tracks of each scanner, or why it has none."""
+    for name, found in tracks.items():
+        if isinstance(found, Rejected):
+            _log.info("tracks of %s: none, %s", name, found.reason)
+        else:
+            _log.info("tracks of %s: %d", name, len(found.tracks))
