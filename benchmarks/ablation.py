@@ -43,7 +43,7 @@ from random_rig_draws import draw_rig, true_poses
 from worlds import NAN, Layout, find_errors, grouped, make_parser, mean, rms, run_worlds, worst
 
 SOURCES = (
-    "model_errors/*", "random_rigs/*", "rigs/worlds/*", "rigs/changes/*", "moving_boards/*",
+    "model_errors/*", "random_rigs/*", "rigs/worlds/*", "rigs/changes/*",
     "recordings/rigs/demo/*", "recordings/rigs/quick/*",
     "real/vlp16/*", "real/wall/*", "real/ouster/*", "real/webcams/*",
 )  # fmt: skip

@@ -1,11 +1,13 @@
-"""Cameras that see boards fixed in the room: errors of poses over stated ones, from simulated corners.
+"""Cameras that see boards fixed in the room, from simulated corners: errors, NEES and verdicts, as in drives.py.
 
-python benchmarks/fixed_boards.py --rigs cameras_and_lidar --paths stops ordinary carried --seeds 12
+python benchmarks/fixed_boards.py --rigs cameras_and_lidar --kinds stops ordinary carried --seeds 700 704
+
+Kinds are those of paths. A row is one sensor besides the root; judged_sensors.py states what its columns are.
 """
 
-import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,30 +22,31 @@ from calgraph.drive.sources.camera import CameraSource, make_view
 from calgraph.drive.sources.lidar import LidarReader
 from calgraph.drive.sources.source import Source
 from calgraph.errors import Rejected
-from calgraph.geometry import se3
-from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds.stated import Intrinsics
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, SimulatedDrive, simulate_drive
 from calgraph.simulation.drive_boards import SimulatedView, WallBoard
+from calgraph.simulation.drive_scenario import DRIVE_KINDS
+from judged_sensors import Outcome, Truth, judge, list_worlds, make_judging_parser, measure, show_outcomes
+from worlds import run_worlds
 
-_KINDS = {"lidar": "lidar3d", "solid_state": "lidar3d", "scanner": "lidar2d", "camera": "camera"}
+RIGS = ("cameras_and_lidar", "three_cameras")
+PATHS = ("stops", "ordinary", "carried")
 
 
-def make_rig(drive: SimulatedDrive, root: str) -> Rig:
+def make_rig(drive: SimulatedDrive) -> Rig:
     """The rig.yaml of a simulated drive, with what CameraInfo messages would state."""
     found = drive.truth.boards
     sensors: dict[str, dict[str, Any]] = {}
     for sensor in drive.scenario.sensors:
-        kind = _KINDS[sensor.kind]
-        topic = f"/{sensor.name}/" + {"lidar3d": "points", "lidar2d": "scan", "camera": "image"}[kind]
-        sensors[sensor.name] = {"kind": kind, "topic": topic}
+        kind = DRIVE_KINDS[sensor.kind]
+        sensors[sensor.name] = {"kind": kind, "topic": drive.topics[sensor.name]}
         if kind == "camera":
             stated = Intrinsics.from_camera(found.cameras[sensor.name].stated)
             sensors[sensor.name]["intrinsics"] = stated.model_dump(exclude_none=True)
     boards = [one.board.model_dump() for one in found.boards]
     return Rig.model_validate(
-        {"root": root, "target": {"kind": "surroundings", "boards": boards}, "sensors": sensors}
+        {"root": drive.root, "target": {"kind": "surroundings", "boards": boards}, "sensors": sensors}
     )
 
 
@@ -73,77 +76,26 @@ def locate_boards(seen: Sequence[SimulatedView], boards: Sequence[WallBoard], ca
     return CameraSource(sorted(views, key=lambda view: view.time))
 
 
-def compute_errors(
-    drive: SimulatedDrive, calibration: Calibration
-) -> dict[str, tuple[float, float, float, float]]:
-    """By sensor: error, mm and degrees, squared Mahalanobis distance over 6, error of the clock, ms."""
-    truth = drive.truth
-    T_first_root = truth.T_root_sensor[calibration.root]
-    found = {}
-    for sensor in calibration.sensors:
-        if sensor.name == calibration.root:
-            continue
-        T = se3.inverse(T_first_root) @ truth.T_root_sensor[sensor.name]
-        error = se3.difference(sensor.T_root_sensor, T)
-        covariance = sensor.covariance
-        offset = truth.clock_offsets[sensor.name] - truth.clock_offsets[calibration.root]
-        found[sensor.name] = (
-            1e3 * float(np.linalg.norm(error[:3])),
-            float(np.degrees(np.linalg.norm(error[3:]))),
-            float(error @ np.linalg.solve(covariance, error)) / 6,
-            1e3 * ((sensor.clock_offset or 0.0) - offset),
-        )
-    return found
+def run(path: str, rig_name: str, seed: int, duration: float) -> list[Outcome]:
+    """Simulates and calibrates one drive past six boards."""
+    began = time.process_time()
+    drive = simulate_drive(
+        DriveScenario(seed, duration, STANDARD_RIGS[rig_name], path, "room")  # type: ignore[arg-type, index]
+    )
+    rig = make_rig(drive)
+    first = Outcome(path, rig_name, seed, duration, "", simulated_seconds=time.process_time() - began)
+    row, found = measure(first, lambda: calibrate_sources(rig, make_sources(rig, drive), {}, (), DriveOptions()))
+    if found is None:
+        return [row]
+    truth = Truth(drive.truth.T_root_sensor, drive.truth.clock_offsets)
+    return [judge(replace(row, sensor=name), found, truth) for name in rig.sensors if name != found.root]
 
 
 def main() -> None:
-    """Runs the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rigs", nargs="+", choices=STANDARD_RIGS, default=["cameras_and_lidar"])
-    parser.add_argument("--paths", nargs="+", default=["stops", "ordinary", "carried"])
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=12)
-    parser.add_argument("--duration", type=float, default=60.0)
-    parser.add_argument("--root", default="")
-    parser.add_argument("--boards", type=int, default=6)
-    options = parser.parse_args()
-    for rig_name in options.rigs:
-        for path in options.paths:
-            rows = []
-            for seed in range(options.first, options.first + options.seeds):
-                scenario = DriveScenario(
-                    seed=seed, duration=options.duration, sensors=STANDARD_RIGS[rig_name], path=path, world="room",
-                    boards=options.boards,
-                )  # fmt: skip
-                started = time.process_time()
-                drive = simulate_drive(scenario)
-                simulated = time.process_time()
-                rig = make_rig(drive, options.root or drive.root)
-                calibration = calibrate_sources(rig, make_sources(rig, drive), {}, (), DriveOptions())
-                errors = compute_errors(drive, calibration)
-                print(
-                    f"{rig_name} {path} {seed}: simulated {simulated - started:.0f} s, "
-                    f"calibrated {time.process_time() - simulated:.0f} s"
-                )
-                for name, (mm, degrees, nees, clock) in errors.items():
-                    stated = calibration[name].covariance
-                    sigma = 1e3 * np.sqrt(np.diag(stated)[:3].max())
-                    print(
-                        f"  {name:14} {mm:6.1f} mm (stated {sigma:.1f}) {degrees:6.3f}° NEES {nees:6.2f} "
-                        f"clock {clock:5.1f} ms"
-                    )
-                for name, reason in calibration.evidence.unconnected.items():
-                    print(f"  {name}: {reason}")
-                rows += list(errors.values())
-            if rows:
-                mm, degrees, nees, clock = np.array(rows).T
-                print(
-                    f"{rig_name} {path}: median {np.median(mm):.1f} mm {np.median(degrees):.3f}°, at most "
-                    f"{mm.max():.1f} mm {degrees.max():.3f}°, NEES {nees.mean():.2f} (median {np.median(nees):.2f}"
-                    "), "
-                    f"clock {np.median(np.abs(clock)):.1f} ms, {len(rows)} poses",
-                    flush=True,
-                )
+    """Prints a table by path and rig, what is confidently wrong, and all reasons."""
+    arguments = make_judging_parser(__doc__, PATHS, PATHS, RIGS, (0.01, 0.3)).parse_args()
+    outcomes = run_worlds(Outcome, run, list_worlds(arguments, PATHS), arguments, key=4)
+    show_outcomes(outcomes, arguments.verbose)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from calgraph.config import Rig
 from calgraph.geometry import se2, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network, compare_network_extrinsics
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
 from calgraph.sensors import LaserScan

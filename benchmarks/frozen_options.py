@@ -1,4 +1,4 @@
-"""The problems of frozen.py by options: starts, priors, checks, moving boards, lenses, graphs."""
+"""The problems of frozen.py by options: starts, priors, checks, graphs."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -11,7 +11,6 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-import lens_models
 import msg_cal
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.geometry import Array, se3, se_n
@@ -19,12 +18,11 @@ from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotatio
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
-from calgraph.result.prior_file import PriorFile
 from calgraph.rig.bundle.priors import RigidFile
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.verification import bootstrap_covariances, compare_extrinsics
@@ -37,12 +35,9 @@ from calgraph.simulation import (
     SpinningOptions,
     build_world,
 )
-from efficiency import without_uncertainty
 from frozen_rigs import Make, calibrated
-from ideal_detections import IdealDetectorOptions, simulate_detections
+from ideal_detections import simulate_detections
 from model_error_rigs import rig_world
-from moving_boards import MovingBoardOptions, simulate_moving_detections
-from moving_boards import scenario as moving_scenario
 
 NO_CAMERA, NO_LASER, NO_SPINNING = CameraOptions(count=0), LaserOptions(count=0), SpinningOptions(count=0)
 APRILGRID = Board(
@@ -99,11 +94,6 @@ def list_option_problems() -> Iterator[tuple[str, Make]]:
         for offset in (0.0, 0.004, 0.05):
             yield f"rigs/check/{rig}/{offset:g}/3", partial(_checked, rig, offset)
     yield "rigs/rigid/five_wrong/3", partial(_rigid, "five", 0.03)
-    for speed, spread, readout in ((0.1, 0.0, 0.0), (0.3, 0.01, 0.02), (0.3, 0.05, 0.0), (1.0, 0.05, 0.02)):
-        motion = MovingBoardOptions(speed=speed, spread=spread, rate=10.0, jitter=0.002, readout=readout)
-        yield f"moving_boards/{speed:g}/{spread:g}/{readout:g}/0", partial(_moving, motion, 0)
-    for seed, warp in product(range(4), (0.0, 0.3)):
-        yield f"lens_models/{warp:g}/{seed}", partial(_lens, seed, warp)
     for n, wrong, sparse in product((2, 3), (0.2, 0.4), (False, True)):
         name = f"graphs/se{n}/{wrong:g}/{'sparse' if sparse else 'complete'}/0"
         yield name, partial(_graph, n, wrong, sparse=sparse)
@@ -145,6 +135,22 @@ def _changed(what: str) -> Calibration:
         tolerance = rig.tolerance.model_copy(update={"translation": metres, "rotation": degrees})
         rig = rig.model_copy(update={"tolerance": tolerance})
     return calibrated(rig, captured, 3)
+
+
+def without_uncertainty(rig: Rig) -> Rig:
+    """The rig with priors that state that nothing has a systematic error."""
+    sensors = {
+        name: spec.model_copy(update={"uncertainty": exact(spec.uncertainty)})
+        for name, spec in rig.sensors.items()
+    }
+    (board,) = rig.boards
+    target = board.model_copy(update={"uncertainty": exact(board.uncertainty)})
+    return rig.model_copy(update={"sensors": sensors, "target": target})
+
+
+def exact(uncertainty: Any) -> Any:
+    """Standard deviations of zero."""
+    return uncertainty.model_copy(update=dict.fromkeys(type(uncertainty).model_fields, 0.0))
 
 
 def given_poses(root: str, poses: Mapping[str, Array], offset: float) -> ExtrinsicsFile:
@@ -204,18 +210,6 @@ def _checked(rig: str, offset: float) -> tuple[object, ...]:
     stated, captured, truth = _detected(rig)
     problem = build_problem_from_captures(stated, captured, RigOptions(), np.random.default_rng(3))
     return compare_extrinsics(problem, given_poses(stated.root, _frames(stated, truth), offset))
-
-
-def _moving(motion: MovingBoardOptions, seed: int) -> Calibration:
-    world = build_world(moving_scenario(), seed, images=False)
-    rig, captured, _ = simulate_moving_detections(world, seed, motion, IdealDetectorOptions(scans_per_hold=1))
-    return calibrated(rig, captured, seed)
-
-
-def _lens(seed: int, warp: float) -> object:
-    """The intrinsics alone."""
-    views = lens_models.simulate_views(lens_models.draw_lens(seed), seed, 12, warp)
-    return estimate_intrinsics(lens_models.RIG, "camera", views)
 
 
 def _graph(n: int, wrong: float, *, sparse: bool) -> dict[str, object]:

@@ -1,12 +1,14 @@
 """Kinds of simulated halls with 3-D LiDARs: ordinary ones, and those in which something is wrong or missing."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from calgraph.simulation import HallFaults, HallScenario
+from drive_kinds import Draw, draw_size, make_faults
 
 _SCANNER_HEIGHTS = (0.3, 0.9, 1.4, 0.9)
 """Of 2-D scanners beside LiDARs, m."""
@@ -18,21 +20,8 @@ RIGS: Mapping[str, Mapping[str, Any]] = {
     "mixed": {"lidars": ("xt32",) * 2, "scanners": _SCANNER_HEIGHTS},
 }
 """Sensors by name."""
-
-
-def _spread(low: float, high: float, rng: np.random.Generator) -> float:
-    """A size between two limits, each order of magnitude as likely."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _fault(
-    draw: Callable[[np.random.Generator], dict[str, Any]],
-) -> Callable[[np.random.Generator], dict[str, Any]]:
-    """Changes of a scenario by faults, which occur somewhere between 30 and 70 % of the recording."""
-    return lambda rng: {"faults": HallFaults(time=float(rng.uniform(0.3, 0.7)), **draw(rng))}
-
-
-KINDS: Mapping[str, Callable[[np.random.Generator], dict[str, Any]]] = {
+_fault = partial(make_faults, HallFaults)
+KINDS: Mapping[str, Draw] = {
     "ordinary": lambda _: {},
     "couples": lambda _: {"people": 4, "couples": 2},
     "high": lambda _: {"high": True},
@@ -45,12 +34,12 @@ KINDS: Mapping[str, Callable[[np.random.Generator], dict[str, Any]]] = {
     "nobody": lambda _: {"people": 0},
     "sloping_floor": lambda _: {"floor_slope": 0.03},
     "stairs": lambda _: {"stairs": True},
-    "rain": _fault(lambda rng: {"false_returns": _spread(0.003, 0.1, rng)}),
-    "bump": _fault(lambda rng: {"bump": (_spread(0.005, 0.05, rng), _spread(0.05, 2.0, rng))}),
-    "swing": _fault(lambda rng: {"swing": _spread(0.05, 1.0, rng)}),
+    "rain": _fault(lambda rng: {"false_returns": draw_size(0.003, 0.1, rng)}),
+    "bump": _fault(lambda rng: {"bump": (draw_size(0.005, 0.05, rng), draw_size(0.05, 2.0, rng))}),
+    "swing": _fault(lambda rng: {"swing": draw_size(0.05, 1.0, rng)}),
     "rings": _fault(lambda _: {"ring_bias": 0.03}),
-    "clock_drift": _fault(lambda rng: {"clock_drift": _spread(2e-4, 3e-3, rng)}),
-    "clock_jump": _fault(lambda rng: {"clock_jump": _spread(0.01, 0.2, rng)}),
+    "clock_drift": _fault(lambda rng: {"clock_drift": draw_size(2e-4, 3e-3, rng)}),
+    "clock_jump": _fault(lambda rng: {"clock_jump": draw_size(0.01, 0.2, rng)}),
     "stretched": _fault(lambda rng: {"range_scale": float(rng.choice([-0.01, 0.01]))}),
 }
 """Changes to the scenario by kind, drawn by seed."""

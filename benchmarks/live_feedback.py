@@ -6,22 +6,61 @@ python benchmarks/live_feedback.py --keep DIR            # the simulated recordi
 
 import asyncio
 import time
+from collections.abc import Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from calgraph.config import Rig, load_rig
+from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.replay import ReplaySource
 from calgraph.live.rig_session import RigSession, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
-from calgraph.simulation import load_truth
-from live_robot import list_topics, simulated
+from calgraph.simulation import (
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+    load_truth,
+    simulate_rig,
+)
 from process_costs import list_processes, measure_processor_time
 from worlds import make_parser
+
+SCENARIO = RigScenario(
+    camera=CameraOptions(count=1, width=1280, height=960, rate=5.0, encoding="jpeg"),
+    laser=LaserOptions(count=3),
+    spinning=SpinningOptions(count=0),
+    multibeam=MultibeamOptions(count=1, rate=5.0),
+    bearings=(-60, -40, -20, -10, 0, 10, 20, 40, 60),
+    radii=(1.7, 2.5),
+    samples=1,
+    hold_time=2.5,
+    move_time=1.5,
+    trigger=False,
+)
+
+
+@contextmanager
+def simulated(keep: Path | None) -> Iterator[Path]:
+    """A folder with the simulated recording."""
+    with TemporaryDirectory() as temporary:
+        folder = keep or Path(temporary)
+        if not (folder / "recording").exists():
+            simulate_rig(SCENARIO, folder, seed=1)
+        yield folder
+
+
+def list_topics(rig: Rig) -> list[str]:
+    """Topics of sensors and of intrinsics."""
+    return [*rig.topics.values(), *(topic for one in list_intrinsics_topics(rig).values() for topic in one)]
 
 
 class Feedback:

@@ -23,10 +23,6 @@ class Kind:
     rig: Callable[[Rig, float], Rig] = lambda rig, _size: rig
     """What the user writes instead."""
 
-    def label(self, size: float) -> str:
-        """A size with its unit."""
-        return f"{size:g} {self.unit}" if self.unit else ""
-
 
 def build_scenario(room: str, kind: str, size: float, duration: float, shape: str) -> NetworkScenario:
     """The scenario of one run.

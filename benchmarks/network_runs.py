@@ -24,7 +24,8 @@ from calgraph.network.joint.estimate import solve_network
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import pair_samples, resample_tracks
 from calgraph.network.pairs.visibility_map import ScannerObservations
-from calgraph.network.strategies import select_center_estimator, select_depth_stddev
+from calgraph.network.scanner_pairs import select_depth_stddev
+from calgraph.network.track_recording import select_center_estimator
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.sensors import LaserScan

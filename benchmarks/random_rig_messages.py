@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import Board, CameraSpec
 from calgraph.geometry import Array, se3, so3
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.sensors import CameraInfo, CameraModel, Image, Message, Trigger
 from calgraph.simulation.camera_render import render_board_texture
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor

@@ -2,7 +2,6 @@
 
 python benchmarks/subsets.py                        # k = 8, 11, 12, 16, 20, 24 captures, 40 random draws each
 python benchmarks/subsets.py --k 8 16 --draws 20 --jobs 4
-python benchmarks/subsets.py --ransac-seeds 100     # one verdict and one pose for all seeds of RANSAC
 python benchmarks/subsets.py --corrections          # points as published, and corrected, from the camera's planes
 
 Data: acfr-vlp16-checkerboard in ../shared/data, or in CALGRAPH_DATA; all 40 captures. The board is
@@ -15,8 +14,7 @@ the LiDAR's points from its plane.
 """
 
 import functools
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -85,19 +83,6 @@ class Draw:
     """Largest stated standard deviation of the k captures' translation, m."""
     held_out: float = NAN
     """RMS of views' mean distances from the predicted plane, m."""
-
-
-@dataclass(frozen=True, eq=False)
-class Seed:
-    """The camera by one seed of RANSAC; NaN if it is lost."""
-
-    k: int
-    seed: int
-    grade: str
-    pose: Array
-    """(4, 4)."""
-    stddev: Array
-    """(6,)."""
 
 
 def data_folder() -> Path:
@@ -221,33 +206,6 @@ def show_subsets(draws: Sequence[Draw]) -> None:
         )
 
 
-def calibrate_with_seed(k: int, seed: int, chosen: tuple[int, ...]) -> Seed:
-    """Calibrates from k captures."""
-    calibration = calibrate_detections(load()[0], select_captures(chosen), RigOptions(seed=seed))
-    if "camera" in calibration.evidence.unconnected:
-        return Seed(k, seed, "lost", np.full((4, 4), np.nan), np.full(6, np.nan))
-    camera = calibration["camera"]
-    return Seed(k, seed, camera.verdict.grade, camera.T_root_sensor, np.sqrt(np.diag(camera.covariance)))
-
-
-def list_seeds(seeds: int) -> Iterator[tuple[int, int, tuple[int, ...]]]:
-    """Numbers of captures, seeds, and captures."""
-    rng = np.random.default_rng(0)
-    for k in (40, 16, 12, 11, 8):
-        chosen = tuple(sorted(rng.choice(CAPTURES, k, replace=False).tolist()))
-        yield from ((k, seed, chosen) for seed in range(seeds))
-
-
-def show_seeds(seeds: Sequence[Seed]) -> None:
-    """Prints verdicts and deviations from the pose of the first seed."""
-    print("captures  largest deviation over stated standard deviation  grades")
-    for k, found in grouped(seeds, lambda one: one.k):
-        first = found[0]
-        deviation = max(float(np.max(np.abs(se3.difference(o.pose, first.pose)) / first.stddev)) for o in found)
-        grades = ", ".join(f"{grade} {n}" for grade, n in Counter(one.grade for one in found).items())
-        print(f"{k:8d}  {deviation:51.3f}  {grades}", flush=True)
-
-
 def show_corrections() -> None:
     """Prints distances of the LiDAR's points from the boards by the camera, as published and corrected."""
     every, odd, even = CAPTURES, CAPTURES[::2], CAPTURES[1::2]
@@ -291,15 +249,11 @@ def main() -> None:
     parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--k", type=int, nargs="+", default=[8, 11, 12, 16, 20, 24])
     parser.add_argument("--draws", type=int, default=40)
-    parser.add_argument("--ransac-seeds", type=int, default=0, help="compare this number of seeds instead")
     parser.add_argument("--corrections", action="store_true", help="points as published and corrected instead")
     arguments = parser.parse_args()
     load()  # before processes are forked
     if arguments.corrections:
         show_corrections()
-    elif arguments.ransac_seeds:
-        work = list(list_seeds(arguments.ransac_seeds))
-        show_seeds(run_worlds(Seed, calibrate_with_seed, work, arguments, key=2))
     else:
         draws = [(k, draw) for k in arguments.k for draw in range(arguments.draws)]
         show_subsets(run_worlds(Draw, compare_draw, draws, arguments, key=2))

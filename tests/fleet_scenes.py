@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.fleet.plan import RecordingTask, RobotPlan
-from calgraph.fleet.pose_set import PoseSet
-from calgraph.fleet.recording_result import RecordingResult, SensorResult
+from calgraph.fleet.recording_result import PoseSet, RecordingResult, SensorResult
 from calgraph.geometry import Array, se3, so3
 
 NAMES = ("lidar", "camera", "laser")

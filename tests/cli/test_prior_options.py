@@ -15,7 +15,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.graph.spanning_tree import find_spanning_tree
 from calgraph.io.text_writing import save_yaml
 from calgraph.result import export, load_calibration, read_extrinsics
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.rig.bundle.priors import RigidFile
 from calgraph.rig.bundle.problem import with_prior_poses
 from calgraph.rig.bundle.problem_file import load_problem, save_problem

@@ -13,8 +13,8 @@ from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.parallel.engine import THIS_PROCESS
 from calgraph.parallel.progress import no_progress
-from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.input_checks import InputMonitor
+from calgraph.recording.record_list import MessageRecording
 from calgraph.sensors import CameraModel, Image
 from calgraph.sensors.kinds.stated import Intrinsics
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, simulate_drive
@@ -24,7 +24,6 @@ from calgraph.simulation.camera_render import (
     draw_board,
     render_board_texture,
 )
-from calgraph.simulation.drive_boards import camera_poses
 from calgraph.simulation.drive_scenario import CameraErrors
 from calgraph.simulation.solids import BoxShape, Solid
 from drive_board_scenes import CAMERA, MOUNTED, place_boards, see
@@ -109,7 +108,7 @@ def test_simulated_corners_are_where_boards_are() -> None:
         camera: CameraModel = found.truth.boards.cameras[name].true
         for view in views:
             board = found.truth.boards.boards[view.board]
-            T = camera_poses(found.truth.motion, mounts[name], np.array([view.stamp - scenario.start_time]))[0]
+            T = mounts[name].poses(found.truth.motion, np.array([view.stamp - scenario.start_time]))[0]
             tags = {tag.id: tag for tag in board.board.tags}
             middle = np.array([[*tags[int(k)].center, 0.0] for k in view.ids])
             points = se3.apply(se3.inverse(T) @ board.T_world_board, middle)

@@ -17,7 +17,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.io.text_writing import save_yaml
 from calgraph.recording import MessageRecording, RecordingWriter, open_recording
 from calgraph.result import read_extrinsics
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import LaserScan
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, simulate_drive

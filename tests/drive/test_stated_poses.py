@@ -12,7 +12,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.io.text_writing import save_yaml
 from calgraph.result import read_extrinsics
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 
 RIG = Rig.model_validate({
     "root": "front",

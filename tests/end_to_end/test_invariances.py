@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 
 from calgraph.config import Capture, Rig, Tolerance
 from calgraph.geometry import se3
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig

@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.config import ChangeRules
 from calgraph.fleet.changes import PosePair, compare_poses, pair_recordings
-from calgraph.fleet.pose_set import PoseSet
+from calgraph.fleet.recording_result import PoseSet
 from calgraph.fleet.run import collect_robots
 from calgraph.geometry import Array
 from calgraph.result import PriorErrors

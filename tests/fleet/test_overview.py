@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from calgraph.config import ChangeRules
-from calgraph.fleet.page import render_page
+from calgraph.fleet.page import format_turn, render_page
 from calgraph.fleet.plan import RobotPlan
 from calgraph.fleet.recording_result import Failure, RecordingResult
 from calgraph.fleet.run import RobotResult, collect_robots
 from calgraph.fleet.tables import write_tables
-from calgraph.fleet.wording import format_turn
 from fleet_scenes import draw_poses, make_robot, make_task, measure_poses
 
 STEP = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0])

@@ -7,8 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.fleet.pose_set import PoseSet
-from calgraph.fleet.recording_result import FILE_NAME, RecordingResult, SensorResult, load_result, save_result
+from calgraph.fleet.recording_result import (
+    FILE_NAME,
+    PoseSet,
+    RecordingResult,
+    SensorResult,
+    load_result,
+    save_result,
+)
 from calgraph.result import PriorErrors
 from fleet_scenes import draw_poses, make_result, make_task, measure_poses
 

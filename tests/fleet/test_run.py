@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import calgraph.fleet.recording_task
+import calgraph.fleet.run
 from calgraph.errors import CalibrationError, WorkerKilledError
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, load_result, save_result
-from calgraph.fleet.recording_task import RunOptions, analyze_recording
-from calgraph.fleet.run import analyze_recordings, find_finished
+from calgraph.fleet.run import RunOptions, analyze_recording, analyze_recordings, find_finished
 from calgraph.geometry import se3, so3
 from calgraph.io.text_writing import format_yaml
 from calgraph.parallel.engine import THIS_PROCESS, Processes
@@ -59,7 +58,7 @@ def test_unexpected_errors_do_not_end_a_fleet(
     def fail(_path: Path) -> None:
         raise error
 
-    monkeypatch.setattr(calgraph.fleet.recording_task, "load_rig", fail)
+    monkeypatch.setattr(calgraph.fleet.run, "load_rig", fail)
     failure = analyze_recording(OPTIONS, make_task(tmp_path)).failure
     assert failure is not None
     assert failure.kind == kind
@@ -74,7 +73,7 @@ def test_warnings_are_kept_with_the_result(tmp_path: Path, monkeypatch: pytest.M
             logging.getLogger("calgraph.recording").warning("%s: is cut off", "x.mcap")
         return make_result(task, measure_poses(draw_poses(), np.random.default_rng(0)))
 
-    monkeypatch.setattr(calgraph.fleet.recording_task, "_analyze", warn)
+    monkeypatch.setattr(calgraph.fleet.run, "_analyze", warn)
     analyze_recording(OPTIONS, task)
     assert find_finished([task])[task].warnings == ("x.mcap: is cut off",)
 

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
-from calgraph.recording.indexed_bag import LimitedBagReader
+from calgraph.recording.chunk_limits import LimitedBagReader
 
 COUNT = 30
 STORE = get_typestore(Stores.ROS1_NOETIC)

@@ -25,8 +25,7 @@ def test_simulated_drives_are_recognized(path: PathKind) -> None:
     drive = simulate_drive(DriveScenario(2, 15.0, STANDARD_RIGS["two_lidars"], path))
     kinds: dict[str, Kind] = dict.fromkeys(drive.topics.values(), "lidar3d")
     robot = find_moving_robot(drive.recording, list_topics(drive.recording, kinds))
-    assert robot is not None
-    assert "% of all directions" in robot.reason
+    assert "% of all directions" in robot
 
 
 def scan_room(times: Sequence[float], x: float, blocked: int) -> list[Message]:
@@ -48,7 +47,7 @@ def test_people_before_scanners_at_rest_are_no_drive(blocked: int) -> None:
     """Up to a seventh of all beams, which are others each time."""
     times = (np.arange(200) / 10).tolist()
     recording = MessageRecording({"/a": scan_room(times, 0.0, blocked), "/b": scan_room(times, 1.5, blocked)})
-    assert find_moving_robot(recording, list_topics(recording, {"/a": "lidar2d", "/b": "lidar2d"})) is None
+    assert not find_moving_robot(recording, list_topics(recording, {"/a": "lidar2d", "/b": "lidar2d"}))
 
 
 @pytest.mark.parametrize(("count", "drives"), [(20, False), (100, True)])
@@ -61,7 +60,7 @@ def test_snapshots_from_several_places_are_no_drive(count: int, drives: bool) ->
         if isinstance(one, LaserScan)
     ]
     recording = MessageRecording({"/a": scans})
-    assert (find_moving_robot(recording, list_topics(recording, {"/a": "lidar2d"})) is not None) == drives
+    assert bool(find_moving_robot(recording, list_topics(recording, {"/a": "lidar2d"}))) == drives
 
 
 @pytest.mark.parametrize(("speed", "moves"), [(0.01, False), (0.2, True)])
@@ -71,5 +70,4 @@ def test_poses_without_scanners_show_a_drive(speed: float, moves: bool) -> None:
     ]
     recording = MessageRecording({"/odom": poses})
     robot = find_moving_robot(recording, [FoundTopic("/odom", "nav_msgs/msg/Odometry", "other", 200)])
-    assert (robot is not None) == moves
-    assert robot is None or robot.reason == "the poses of /odom move by 4.0 m"
+    assert robot == ("the poses of /odom move by 4.0 m" if moves else "")

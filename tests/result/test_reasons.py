@@ -1,6 +1,6 @@
 """Reasons that several sensors share, for prints that state each once."""
 
-from calgraph.result.reasons import share_clauses
+from calgraph.result.finding import share_clauses
 
 
 def test_shared_clauses_are_stated_once() -> None:

@@ -20,7 +20,7 @@ from calgraph.result import (
     load_calibration,
     save_calibration,
 )
-from calgraph.result.stated_pose import apply_stated_poses
+from calgraph.result.exports.frames import apply_stated_poses
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 PLANAR = se2.pose(np.array([0.0, 1.1, -2.0]), np.array([[0.0, 0.0], [4.0, 1.0], [2.0, -3.0]]))

@@ -11,16 +11,9 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.sensors import LaserScan, PointCloud
 from calgraph.simulation import HallFaults, HallScenario, SimulatedHall, simulate_hall
+from calgraph.simulation.drive_beams import Hits
 from calgraph.simulation.drive_scenario import EXACT
-from calgraph.simulation.hall_bodies import (
-    Mover,
-    MoverHits,
-    Part,
-    cast_mover,
-    place_box,
-    place_ellipsoid,
-    place_limb,
-)
+from calgraph.simulation.hall_bodies import Mover, Part, cast_mover, place_box, place_ellipsoid, place_limb
 from calgraph.simulation.hall_mounts import mount_sensors
 from calgraph.simulation.hall_scenario import LIDAR_MODELS
 from calgraph.simulation.hall_world import build_hall
@@ -31,7 +24,7 @@ UPRIGHT = np.eye(3)[..., None]
 SHORT = HallScenario(seed=1, duration=2.0, lidars=("vlp16", "vlp16"), people=0, errors=EXACT)
 
 
-def cast(part: Part, origin: list[float], directions: list[list[float]]) -> MoverHits:
+def cast(part: Part, origin: list[float], directions: list[list[float]]) -> Hits:
     """Rays at one part that does not move."""
     mover = Mover(lambda times: np.zeros((3, len(times))), 1.0, 2.0, lambda _: [part])
     d = np.array(directions, dtype=np.float64).T

@@ -244,7 +244,7 @@ def fail_if_not_calibrated(calibration: "Calibration", *, strict: bool = False) 
     Raises:
         CalibrationError: there is one.
     """
-    from calgraph.result.reasons import share_clauses
+    from calgraph.result.finding import share_clauses
 
     by_reason = calibration.evidence.unconnected_by_reason
     reasons, shared = share_clauses({", ".join(names): reason for reason, names in by_reason.items()})

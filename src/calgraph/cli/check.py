@@ -9,6 +9,7 @@ import numpy as np
 import typer
 from rich.markup import escape
 
+from calgraph.calibration.dispatch import compare
 from calgraph.calibration.result_files import format_comparison, write_results
 from calgraph.cli.cache import open_cache
 from calgraph.cli.common_options import (
@@ -34,7 +35,6 @@ from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.rig.bundle.problem import Problem
     from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]", "undecided": "[yellow]?[/]"}
@@ -122,41 +122,20 @@ def _set_tolerance(rig: Rig, tolerance: tuple[float, float] | None) -> Rig:
 def _compare(
     rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
-    """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
-    from calgraph.drive.audit import compare_drive_extrinsics
-    from calgraph.drive.options import DriveOptions
-    from calgraph.network.options import NetworkOptions
-    from calgraph.network.pipeline import compare_network_extrinsics
-    from calgraph.rig.verification import compare_extrinsics
-
-    if rig.is_network:
-        options = NetworkOptions(seed=seed, engine=engine, cache=cache)
-        with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-            return *compare_network_extrinsics(rig, recording, given, options, progress), rig
-    if rig.is_drive:
-        driven = DriveOptions(seed=seed, engine=engine)
-        with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-            return *compare_drive_extrinsics(rig, recording, given, driven, progress), rig
-    problem = _problem(rig, recordings, seed, cache, engine)
-    return *compare_extrinsics(problem, given), problem.rig
-
-
-def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, engine: Engine) -> "Problem":
-    """The joint problem of a recording, or the one in a dump."""
+    """The calibration from the recording or dump, the comparison with the given poses, and the resolved rig."""
     from calgraph.rig.bundle.problem import check_problem
     from calgraph.rig.bundle.problem_file import load_problem
-    from calgraph.rig.options import RigOptions
-    from calgraph.rig.pipeline import build_problem
+    from calgraph.rig.verification import compare_extrinsics
 
-    if any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings):
+    dumped = any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings)
+    if dumped and not (rig.is_network or rig.is_drive):
         if len(recordings) > 1:
             raise InputError(f"{recordings[0]}: a dump is one recording's, got {len(recordings)} files")
         problem = replace(load_problem(Path(recordings[0]), rig.settings.limits), rig=rig)
         check_problem(problem)
-        return problem
+        return *compare_extrinsics(problem, given), rig
     with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-        options = RigOptions(seed=seed, engine=engine, cache=cache)
-        return build_problem(rig, recording, options, progress)
+        return compare(rig, recording, given, seed=seed, engine=engine, cache=cache, progress=progress)
 
 
 def _print(audit: "ExtrinsicsComparison", against: Path, root: str, tolerance: Tolerance) -> None:

@@ -69,8 +69,7 @@ def fleet(
     """
     # Takes seconds, which --help should not.
     from calgraph.fleet.plan import plan_fleet
-    from calgraph.fleet.recording_task import RunOptions
-    from calgraph.fleet.run import analyze_recordings, find_finished
+    from calgraph.fleet.run import RunOptions, analyze_recordings, find_finished
 
     config = load_fleet(fleet_file)
     if out.exists() and not out.is_dir():
@@ -152,7 +151,7 @@ def _content(robots: "Sequence[RobotResult]") -> str:
 
 def _print(robots: "Sequence[RobotResult]", kept: int, out: Path) -> None:
     """What needs attention, robot by robot."""
-    from calgraph.fleet.wording import describe_robot, summarize_fleet
+    from calgraph.fleet.page import describe_robot, summarize_fleet
 
     output = console()
     output.print(f"[bold]{escape(summarize_fleet(robots))}[/]")

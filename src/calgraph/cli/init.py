@@ -15,9 +15,8 @@ from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import Recording, correct_stamps, find_topics, open_recording
-from calgraph.recording.building_network import find_building_network
 from calgraph.recording.clocks import compare_clocks
-from calgraph.recording.moving_robot import find_moving_robot
+from calgraph.recording.moving_robot import find_building_network, find_moving_robot
 from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.rig.captures.empty_start import find_empty_start
 from calgraph.sensors.kinds import KINDS
@@ -46,20 +45,19 @@ def init(
         topics = find_topics(opened)
         timed = [topic.name for topic in topics if topic.kind in KINDS or topic in find_triggers(topics)[0]]
         by_one_clock = correct_stamps(opened, compare_clocks(opened, timed).certain_offsets())
-        robot = None if boards else find_moving_robot(by_one_clock, topics)
-        network = None if boards or robot else find_building_network(by_one_clock, topics)
+        robot = "" if boards else find_moving_robot(by_one_clock, topics)
+        network = "" if boards or robot else find_building_network(by_one_clock, topics)
         boardless = robot or network
         background = None if boardless else find_background(by_one_clock, topics, boards)
         found = None if boardless else find_mode(by_one_clock, topics, background)
         mode = FoundMode(found.mode, found.reason) if found else None
-        reasons = (robot.reason if robot else "", network.reason if network else "")
-        text = draft_rig(topics, recording, target, background, mode, *reasons)
+        text = draft_rig(topics, recording, target, background, mode, robot, network)
     write_text(out, text)
     todo = f"{'' if board or boardless else 'state your board in it, and '}go through its comments"
     if robot:
-        todo += f"; it is of a robot that drives, as {robot.reason}"
+        todo += f"; it is of a robot that drives, as {robot}"
     if network:
-        todo += f"; it is of LiDARs that are fixed in a building, as {network.reason}"
+        todo += f"; it is of LiDARs that are fixed in a building, as {network}"
     console(stderr=True).print(f"Wrote {out}: {todo}", markup=False)
 
 

@@ -22,7 +22,7 @@ from calgraph.result import (
     SensorPose,
     Verdict,
 )
-from calgraph.result.reasons import share_clauses
+from calgraph.result.finding import share_clauses
 from calgraph.sensors.kinds import KINDS
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}

@@ -12,7 +12,7 @@ from calgraph.cli.common_options import EARLIER
 from calgraph.errors import InputError
 
 if TYPE_CHECKING:
-    from calgraph.result.prior_file import PriorFile
+    from calgraph.result.extrinsics_file import PriorFile
     from calgraph.rig.bundle.priors import RigidFile
 
 PriorOption = Annotated[
@@ -63,7 +63,7 @@ def read_priors(
         return None, ()
     # Modules that few calls need.
     from calgraph.result import read_extrinsics
-    from calgraph.result.prior_file import PriorFile
+    from calgraph.result.extrinsics_file import PriorFile
     from calgraph.rig.bundle.priors import RigidFile
 
     groups = []

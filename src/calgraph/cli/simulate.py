@@ -1,6 +1,7 @@
 """``calgraph simulate rig``: a robot's recording with ground truth; every field of its scenario is an option."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -30,8 +31,9 @@ Scenario = TypeVar("Scenario", bound=BaseModel)
 Simulate = Callable[[Scenario, Path, int, Callable[[int, int], None]], None]
 
 
-def simulate_to(out: Path, simulate: Simulate[Scenario], scenario: Scenario, seed: int) -> None:
-    """Writes recording, ground truth and scenario into the folder ``out``, all or none of them.
+@contextmanager
+def simulated_folder(out: Path) -> Iterator[tuple[Path, Callable[[str, float], None]]]:
+    """A folder that becomes ``out``, whole or not at all, and what shows how much is written to it.
 
     Raises:
         InputError: there is a recording in ``out`` already.
@@ -39,7 +41,7 @@ def simulate_to(out: Path, simulate: Simulate[Scenario], scenario: Scenario, see
     if (out / "recording").exists():
         raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
     with replace_folder_atomically(out, "recording") as folder, progress_bars() as progress:
-        simulate_into(folder, simulate, scenario, seed, progress)
+        yield folder, progress
     console(stderr=True).print(
         f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",
         markup=False,
@@ -87,7 +89,8 @@ def simulate_rig_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0
         # A board has either tags or a pattern: a given pattern replaces the default tags.
         options.setdefault("board_tags", "[]")
     chosen = apply_options(start, _MODEL_OPTIONS, options)
-    simulate_to(out, simulate_rig, chosen, seed)
+    with simulated_folder(out) as (folder, progress):
+        simulate_into(folder, simulate_rig, chosen, seed, progress)
 
 
 simulate_rig_command = add_options(simulate_rig_options, _MODEL_OPTIONS, RigScenario())

@@ -5,11 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.console import console
-from calgraph.cli.progress import progress_bars
-from calgraph.cli.simulate import Out, Seed
-from calgraph.errors import InputError
-from calgraph.io.atomic import replace_folder_atomically
+from calgraph.cli.simulate import Out, Seed, simulated_folder
 from calgraph.io.text_writing import save_yaml
 from calgraph.simulation.drive_motion import PathKind
 from calgraph.simulation.drive_recording import record_drive
@@ -34,12 +30,6 @@ def simulate_drive_command(
 ) -> None:
     """Simulate a robot that drives; write recording, rig.yaml and ground truth."""
     scenario = DriveScenario(seed, duration, STANDARD_RIGS[rig], path, world)
-    if (out / "recording").exists():
-        raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
-    with replace_folder_atomically(out, "recording") as folder, progress_bars() as progress:
+    with simulated_folder(out) as (folder, progress):
         record_drive(scenario, folder, lambda done, total: progress("writing", done / total))
         save_yaml(folder / "scenario.yaml", asdict(scenario), f"seed: {seed}")
-    console(stderr=True).print(
-        f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",
-        markup=False,
-    )

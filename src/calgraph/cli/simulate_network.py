@@ -7,17 +7,14 @@ from typing import Annotated, Any, get_args
 import typer
 
 from calgraph.cli.common_options import JobsOption
-from calgraph.cli.console import console
 from calgraph.cli.model_options import add_options, apply_options, list_options
-from calgraph.cli.progress import progress_bars
-from calgraph.cli.simulate import Out, ScenarioFile, Seed, simulate_to
+from calgraph.cli.simulate import Out, ScenarioFile, Seed, simulate_into, simulated_folder
 from calgraph.errors import InputError
-from calgraph.io.atomic import replace_folder_atomically
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.parallel.processes import available_cores
 from calgraph.simulation import HallScenario, LayoutName, NetworkScenario, simulate_network
-from calgraph.simulation.hall_recording import record_hall
 from calgraph.simulation.hall_scenario import LidarModel
+from calgraph.simulation.hall_simulation import record_hall
 
 _PANELS = {
     "layout": "Building",
@@ -70,7 +67,9 @@ def simulate_network_options(
         content = {**content, "layout": options["layout"]}
     start = validate_content(NetworkScenario, content, scenario or Path("options"))
     chosen = apply_options(start, _MODEL_OPTIONS, options)
-    simulate_to(out, partial(simulate_network, jobs=jobs or available_cores()), chosen, seed)
+    simulate = partial(simulate_network, jobs=jobs or available_cores())
+    with simulated_folder(out) as (folder, progress):
+        simulate_into(folder, simulate, chosen, seed, progress)
 
 
 def _simulate_hall(
@@ -79,18 +78,12 @@ def _simulate_hall(
     unknown = [name for name in given if name not in _HALL_OPTIONS]
     if unknown:
         raise InputError(f"--{unknown[0].replace('_', '-')}: is of 2-D scanners; leave it out with --lidars")
-    if (out / "recording").exists():
-        raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
     chosen = {
         _HALL_OPTIONS[name]: type(getattr(HallScenario(), _HALL_OPTIONS[name]))(options[name]) for name in given
     }
     hall = HallScenario(seed, lidars=lidars, **chosen)
-    with replace_folder_atomically(out, "recording") as folder, progress_bars() as progress:
+    with simulated_folder(out) as (folder, progress):
         record_hall(hall, folder, lambda done, total: progress("writing", done / total))
-    console(stderr=True).print(
-        f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",
-        markup=False,
-    )
 
 
 simulate_network_command = add_options(simulate_network_options, _MODEL_OPTIONS, NetworkScenario())

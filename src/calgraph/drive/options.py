@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from calgraph.parallel.engine import THIS_PROCESS, Engine
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 
 
 @dataclass(frozen=True)

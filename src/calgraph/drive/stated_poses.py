@@ -9,8 +9,8 @@ from scipy.special import chdtri
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se_n
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.result.finding import Finding
-from calgraph.result.prior_file import PriorFile
 
 # Least share of a prior's variance along an axis that the drive has to remove for it to test the prior.
 _MIN_REDUNDANCY = 0.1

@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config import ChangeRules
-from calgraph.fleet.pose_set import PoseSet
-from calgraph.fleet.recording_result import RecordingResult
+from calgraph.fleet.recording_result import PoseSet, RecordingResult
 from calgraph.geometry import Array, se3
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
 from calgraph.verdict.displaced_nodes import estimate_displacements, find_displaced_nodes

@@ -21,7 +21,7 @@ from calgraph.live.session import ALL_DONE, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Advice, Need, Phase, SceneState, SessionState
 from calgraph.result import Calibration
-from calgraph.result.reasons import split_clauses
+from calgraph.result.finding import split_clauses
 
 # Time of which odometry gets the messages, s: trajectories of 5 Hz have the poses that they need; and how much of
 # it is new, so that a LiDAR of 16 rings takes a quarter of a core. Before the first time there is no motion.

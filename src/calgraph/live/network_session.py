@@ -12,7 +12,7 @@ from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.session import ALL_DONE
 from calgraph.live.state import Advice, Phase, SceneState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
-from calgraph.result.reasons import split_clauses
+from calgraph.result.finding import split_clauses
 
 # Standard deviations of means fall with the root of the time, and no faster for long.
 _MAX_DECAY = 0.5

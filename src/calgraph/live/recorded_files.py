@@ -10,7 +10,7 @@ from pathlib import Path
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import CalgraphError
 from calgraph.recording import Recording, open_recording
-from calgraph.recording.bag_metadata import RecordedFile
+from calgraph.recording.bag_files import RecordedFile
 from calgraph.recording.chunk_limits import open_reader
 from calgraph.recording.unfinished_mcap import finish_mcap
 

@@ -24,7 +24,7 @@ from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.recorded_files import finish_files, name_next_file, name_part, read_files, sync_folder
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
-from calgraph.recording.bag_metadata import METADATA, write_metadata
+from calgraph.recording.bag_files import METADATA, write_metadata
 from calgraph.recording.damage import LimitedStore
 from calgraph.recording.message_types import MessageType, make_message_type, ros2_definition
 from calgraph.recording.unfinished_mcap import finish_mcap

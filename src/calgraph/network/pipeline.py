@@ -1,5 +1,6 @@
 """Networks: from one recording of people walking through a building to the poses of its scanners."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,11 +26,15 @@ from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.planar_poses import NetworkPoses, complete_covariance
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pairs.scanner_pair import ScannerPairs
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.pipeline import calibrate_in_space, check_space, has_lidars
-from calgraph.network.step_log import log_network
-from calgraph.network.timed_tracks import track_with_beam_times
-from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec
+from calgraph.network.track_recording import (
+    forget_unused_beams,
+    moving_target,
+    scanner_spec,
+    track_with_beam_times,
+)
 from calgraph.network.tracking.stationarity import select_interval
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.parallel.engine import MapEngine
@@ -43,6 +48,8 @@ from calgraph.verdict.comparison import ExtrinsicsComparison
 from calgraph.verdict.contradicted_poses import compare_with_contradictions
 from calgraph.verdict.grades import max_good_stddev
 from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
+
+_log = logging.getLogger("calgraph")
 
 
 def calibrate_network(
@@ -114,7 +121,7 @@ def calibrate_tracks(
                 progress("solving", 0.0)
                 joint, prior = _solve_jointly(rig, corrected, initialization, earlier, engine)
                 progress("solving", 1.0)
-            log_network(corrected.pairs, initialization, joint)
+            _log_network(corrected.pairs, initialization, joint)
             bump = _find_bump(corrected, initialization, joint)
             if bump is None:  # the workers have the bodies of the solution, which its tests use
                 calibration = _assess_and_assemble(
@@ -262,3 +269,16 @@ def _select_after(
 
 def _first_time(tracked: Mapping[str, ScannerTracks]) -> float:
     return min((float(track.times[0]) for scanner in tracked.values() for track in scanner.tracks), default=0.0)
+
+
+def _log_network(pairs: ScannerPairs, start: NetworkInitialization, joint: NetworkSolution | None) -> None:
+    """Logs the pairs of a network, and the size of its solution."""
+    for (a, b), pair in pairs.items():
+        if isinstance(pair, Rejected):
+            found = f"no pose, {pair.reason}"
+        else:
+            found = f"{len(pair.hypotheses)} possible poses"
+        _log.info("pair %s, %s: %s", a, b, found)
+    _log.info("start poses: %d scanners from %d poses of pairs", len(start.names), len(start.graph.edges))
+    if joint is not None:
+        _log.info("joint solution: %d scanners, with clocks", len(joint.T_root_scanner))

@@ -7,11 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.config.settings import ClockMountingSettings
+from calgraph.config.settings import CenterFeature, ClockMountingSettings
 from calgraph.errors import Rejected
 from calgraph.graph.averaging import select_averaging
-from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOCK
-from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.network.graph.clock_mounting_consensus import (
+    MAX_EVIDENCE_RATIO,
+    SAME_CLOCK,
+    ClockMountingSolution,
+    resolve_clocks_and_mountings,
+)
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkMethod, NetworkOptions
 from calgraph.network.pairs.clock_mounting_search import (
@@ -22,14 +26,24 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import (
+    DEPTH_STDDEV,
+    ScannerPairEstimate,
+    ScannerPairs,
+    estimate_scanner_pairs,
+)
 from calgraph.network.pairs.visibility_map import ScannerObservations
-from calgraph.network.strategies import select_depth_stddev
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.solver.connected_parts import label_parts
+
+# m; prior standard deviation of the distance from centroids to true centres along the beam: that of a half circle
+# lies 0.6 to 0.8 of the radius before the centre.
+_CENTROID_DEPTH_STDDEV = 0.2
+# m; the same for direct ellipse fits, whose size is unknown.
+_DIRECT_ELLIPSE_DEPTH_STDDEV = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,3 +318,14 @@ def report_clocks_and_mountings(
         for name in solution.contradicted
     ]
     return findings
+
+
+def select_depth_stddev(feature: CenterFeature) -> float:
+    """Standard deviation of the distance from tracked to true centres, m."""
+    match feature:
+        case "nls":
+            return DEPTH_STDDEV
+        case "com":
+            return _CENTROID_DEPTH_STDDEV
+        case "ellipse":
+            return _DIRECT_ELLIPSE_DEPTH_STDDEV

@@ -6,13 +6,16 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.config.settings import CenterFeature
 from calgraph.errors import InputError, Rejected
+from calgraph.network.graph.beam_times import recognize_beam_times
 from calgraph.network.joint.legs import measures_legs
 from calgraph.network.options import NetworkOptions
-from calgraph.network.step_log import log_tracks
-from calgraph.network.strategies import select_center_estimator
+from calgraph.network.scanner_pairs import average_pairs, pair_scanners
+from calgraph.network.tracking.features import CenterEstimator, measure_centroids
 from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder, add_beam_times, find_untimed_scans
 from calgraph.network.tracking.track import TRACK_TYPES, ScannerTracks
 from calgraph.network.tracking.track_scanner import track_runs
@@ -22,7 +25,9 @@ from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.recording.input_checks import InputMonitor, TopicObservations
+from calgraph.result.finding import Finding
 from calgraph.sensors.cloud_to_scan import to_scans
+from calgraph.sensors.untimed_scans import describe_turning
 
 _log = logging.getLogger("calgraph")
 
@@ -87,7 +92,7 @@ def track_people(
             options.cache.write(recording, _TRACKS, inputs[name], one)
         progress("tracking", len(found) / len(rig.sensors))
     tracks = {name: found[name].tracks for name in rig.sensors}
-    log_tracks(tracks)
+    _log_tracks(tracks)
     stated = {name: frame for name in rig.sensors if (frame := found[name].frame) is not None}
     return tracks, stated
 
@@ -208,3 +213,83 @@ def _read_scans(
             frames.setdefault(name, scan.frame_id)
             gathered[name].add(scan)
     return {name: gathered.pop(name).runs() for name in names.values()}, frames
+
+
+# Displacement of people within a scan below which times of beams do not matter, m: clocks take the mean of it, and
+# what is left is half of it at most, the error that a pose may have by default.
+_MAX_DISPLACEMENT = 0.02
+# At which people walk, m/s.
+_WALKING_SPEED = 1.4
+
+
+def track_with_beam_times(
+    rig: Rig,
+    recording: Recording,
+    options: NetworkOptions,
+    progress: Progress = no_progress,
+    monitor: InputMonitor | None = None,
+) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str], tuple[Finding, ...]]:
+    """Tracks and frames as of :func:`track_people`, and what was found about the times of beams.
+
+    Scanners whose ``time_increment`` is zero although they turn are tracked again with the times of their beams.
+    """
+    tracks, frames = track_people(rig, recording, options, progress, monitor)
+    tracked = {name: one for name, one in tracks.items() if isinstance(one, ScannerTracks)}
+    untimed = {name: one.untimed for name, one in tracked.items() if one.untimed is not None}
+    if not untimed:
+        return tracks, frames, ()
+    rng = np.random.default_rng(options.seed)
+    corrected = pair_scanners(rig, tracked, options, rng, no_progress)
+    start = average_pairs(rig, corrected, options.select_method(rig.settings.published), rng)
+    turns = recognize_beam_times(corrected.tracked, start, corrected.inverted)
+    findings: list[Finding] = []
+    if turning := [name for name in untimed if turns.get(name)]:
+        tracks, frames = track_people(rig, recording, options, progress, None, turns)
+        periods = [untimed[name].period for name in turning]
+        findings.append(Finding(describe_turning(turning, periods, "people are")))
+    unknown = [name for name in untimed if name not in turns and _displacement(tracked[name]) > _MAX_DISPLACEMENT]
+    if unknown:
+        most = max(_displacement(tracked[name]) for name in unknown)
+        findings.append(
+            Finding(
+                f"the scans of {', '.join(unknown)} have no times of beams (time_increment is 0), and the tracks "
+                "do not show whether all are simultaneous: if not, people are displaced by up to "
+                f"{1e3 * most:.0f} mm; set time_increment in the drivers, or let people walk longer where views "
+                "overlap",
+                tuple(unknown),
+            )
+        )
+    return tracks, frames, tuple(findings)
+
+
+def _displacement(tracked: ScannerTracks) -> float:
+    """By which people move while a scanner turns through the bearings that it measured them at, m."""
+    scans = tracked.untimed
+    positions = [track.positions for track in tracked.tracks]
+    if scans is None or not positions:
+        return 0.0
+    x = np.concatenate(positions)
+    times = scans.turn_times(np.arctan2(x[:, 1], x[:, 0]))
+    return _WALKING_SPEED * float(np.ptp(times))
+
+
+def select_center_estimator(feature: CenterFeature) -> CenterEstimator | None:
+    """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
+    match feature:
+        case "nls":
+            return None
+        case "com":
+            return measure_centroids
+        case "ellipse":
+            from calgraph.network.published.direct_ellipses import measure_direct_ellipses
+
+            return measure_direct_ellipses
+
+
+def _log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
+    """Logs the tracks of each scanner, or why it has none."""
+    for name, found in tracks.items():
+        if isinstance(found, Rejected):
+            _log.info("tracks of %s: none, %s", name, found.reason)
+        else:
+            _log.info("tracks of %s: %d", name, len(found.tracks))

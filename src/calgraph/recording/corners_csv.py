@@ -12,8 +12,7 @@ from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.recording.damage import check_fetched, check_unpacked_size, wrap_errors
 from calgraph.recording.file_names import SNAPSHOT_SPACING
-from calgraph.recording.in_memory import record_message
-from calgraph.recording.record_list import IndexedRecording
+from calgraph.recording.record_list import IndexedRecording, record_message
 from calgraph.sensors import DetectedCorners
 
 CORNERS, TIMES = "xy.csv", "timestamps.csv"

@@ -25,8 +25,7 @@ from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.file_names import FileStamps, NamedFiles, resolve_stamps, split_by_sensor
 from calgraph.recording.images import decode_image, decode_png_depths
 from calgraph.recording.pcd import read_pcd, read_ply
-from calgraph.recording.point_cloud_columns import cloud_from_columns
-from calgraph.recording.point_text import is_point_table, parse_points
+from calgraph.recording.point_cloud_columns import cloud_from_columns, is_point_table, parse_points
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 
@@ -267,12 +266,8 @@ def _image(file: _File) -> Image:
     return Image(file.stamp, "", decode_image(data, limits=file.limits), depths)
 
 
-def _pcd(file: _File) -> PointCloud:
-    return cloud_from_columns(read_pcd(file.path, file.limits), file.stamp)
-
-
-def _ply(file: _File) -> PointCloud:
-    return cloud_from_columns(read_ply(file.path, file.limits), file.stamp)
+def _cloud(read: Callable[[Path, LimitSettings], Mapping[str, Array]], file: _File) -> PointCloud:
+    return cloud_from_columns(read(file.path, file.limits), file.stamp)
 
 
 @contextmanager
@@ -359,9 +354,9 @@ def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.n
 _TEXT = ".txt"
 _READERS: dict[str, Callable[[_File], Message]] = {
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"), _image),
-    ".pcd": _pcd,
-    ".pcd.gz": _pcd,
-    ".ply": _ply,
+    ".pcd": partial(_cloud, read_pcd),
+    ".pcd.gz": partial(_cloud, read_pcd),
+    ".ply": partial(_cloud, read_ply),
     ".npz": _npz,
     ".csv": _csv,
     **dict.fromkeys((".xyz", ".pts", ".asc", _TEXT), _points),

@@ -1,4 +1,4 @@
-"""A recording whose records are indexed when it is opened."""
+"""Recordings whose records are indexed when they are opened, and messages in memory, which are read like one."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -7,12 +7,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from calgraph.config.settings import LimitSettings
+from calgraph.errors import InputError
+from calgraph.recording.content_hash import hash_array
 from calgraph.recording.damage import wrap_errors
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType
 from calgraph.recording.recording import ClosedOnExit, TimeBase, TopicInfo, select_topics
-from calgraph.sensors import RecordedMessage
+from calgraph.sensors import CameraInfo, Message, MessageDigest, RecordedMessage, Trigger
 
 
 class IndexedRecording(ClosedOnExit):
@@ -101,3 +105,43 @@ def make_record(
     return RecordedMessage(
         topic, stamp, arrival, partial(decode, kind, raw, stamp, place, limits), partial(kind.digest, raw)
     )
+
+
+class MessageRecording(IndexedRecording):
+    """Messages by topic as a recording, for scans, clouds and images that are arrays already.
+
+    Args:
+        messages: by topic, in any order; they arrive at their stamps.
+
+    Raises:
+        InputError: there are none.
+    """
+
+    def __init__(self, messages: Mapping[str, Sequence[Message]]) -> None:
+        listed = [record_message(topic, message) for topic, sent in messages.items() for message in sent]
+        if not listed:
+            raise InputError("no messages are given; a recording needs one at least")
+        types = {topic: sent[0].topic_type for topic, sent in messages.items() if sent}
+        super().__init__(Path("messages"), listed, types)
+
+
+def record_message(topic: str, message: Message) -> RecordedMessage:
+    """The record of a message, which arrives at its stamp."""
+    return RecordedMessage(topic, message.stamp, message.stamp, partial(_get, message), partial(_digest, message))
+
+
+def _get(message: Message) -> Message:
+    """The message: unlike a local function, a partial of this one can be pickled."""
+    return message
+
+
+def _digest(message: Message) -> MessageDigest:
+    if isinstance(message, CameraInfo):
+        camera = message.camera
+        content = hash(
+            (camera.model, camera.width, camera.height, hash_array(camera.K), hash_array(camera.distortion))
+        )
+        return MessageDigest(message.frame_id, content)
+    if isinstance(message, Trigger):
+        return MessageDigest("", hash_array(np.zeros(0)))
+    return MessageDigest(message.frame_id, hash_array(getattr(message, message.measured)))

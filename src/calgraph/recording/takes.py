@@ -234,17 +234,13 @@ def _overlap(one: _Timed, other: _Timed) -> bool:
         shorter = min(end - begin, other_end - other_begin)
         common = min(end, other_end) - max(begin, other_begin)
         if _counts_from_start(one.recording) or common >= min(0.5 * shorter, _MAX_SPLIT_OVERLAP):
-            _check_not_the_same(one.recording, other.recording, topic, max(begin, other_begin))
+            if _have_same_messages(one.recording, other.recording, topic, max(begin, other_begin)):
+                raise InputError(
+                    f"{one.recording.path}: has the same messages of {topic} as {other.recording.path}: give "
+                    "one of the two, or record this topic in one of them only"
+                )
             return True
     return False
-
-
-def _check_not_the_same(recording: Recording, other: Recording, topic: str, start: float) -> None:
-    if _have_same_messages(recording, other, topic, start):
-        raise InputError(
-            f"{recording.path}: has the same messages of {topic} as {other.path}: give one of the two, or record "
-            "this topic in one of them only"
-        )
 
 
 def _have_same_messages(recording: Recording, other: Recording, topic: str, start: float) -> bool:

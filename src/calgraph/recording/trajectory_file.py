@@ -11,8 +11,7 @@ from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.recording.damage import check_fetched, check_unpacked_size, wrap_errors
-from calgraph.recording.in_memory import record_message
-from calgraph.recording.record_list import IndexedRecording
+from calgraph.recording.record_list import IndexedRecording, record_message
 from calgraph.sensors import Pose
 
 _SUFFIXES = (".tum", ".txt", ".csv")

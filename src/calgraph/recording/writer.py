@@ -13,10 +13,11 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
+from calgraph.geometry import Array
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
-from calgraph.recording.bag_metadata import RecordedFile, write_metadata
+from calgraph.recording.bag_files import RecordedFile, write_metadata
 from calgraph.recording.images import encode_image
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Pose, Trigger, TurnRate
 
 Encoding = Literal["raw", "png", "jpeg"]
 
@@ -288,6 +289,43 @@ def _camera_info(store: Typestore, info: CameraInfo, _: Encoding) -> tuple[str, 
     )
 
 
+def _vector(store: Typestore, values: Array, name: str = "Vector3") -> Any:
+    return store.types[f"geometry_msgs/msg/{name}"](**dict(zip("xyzw", values.tolist(), strict=False)))
+
+
+def _odometry(store: Typestore, one: Pose, _: Encoding) -> tuple[str, Any]:
+    types, none, zero = store.types, np.zeros(36), _vector(store, np.zeros(3))
+    pose = types["geometry_msgs/msg/Pose"](
+        position=_vector(store, one.position, "Point"), orientation=_vector(store, one.quaternion, "Quaternion")
+    )
+    twist = types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
+    return _make_message(
+        store,
+        "nav_msgs/msg/Odometry",
+        header=_header(store, one.stamp, f"{one.frame_id}_world"),
+        child_frame_id=one.frame_id,
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=none),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=none),
+    )
+
+
+def _imu(store: Typestore, one: TurnRate, _: Encoding) -> tuple[str, Any]:
+    # A covariance that begins with -1 states that there is no such measurement.
+    missing = np.zeros(9)
+    missing[0] = -1
+    return _make_message(
+        store,
+        "sensor_msgs/msg/Imu",
+        header=_header(store, one.stamp, one.frame_id),
+        orientation=_vector(store, np.array([0.0, 0, 0, 1]), "Quaternion"),
+        orientation_covariance=missing,
+        angular_velocity=_vector(store, one.rate),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=_vector(store, np.zeros(3)),
+        linear_acceleration_covariance=missing,
+    )
+
+
 def _trigger(store: Typestore, trigger: Trigger, _: Encoding) -> tuple[str, Any]:
     return "std_msgs/msg/Header", _header(store, trigger.stamp, "")
 
@@ -297,5 +335,7 @@ _MAKERS: dict[type, Callable[[Typestore, Any, Encoding], tuple[str, Any]]] = {
     LaserScan: _laser_scan,
     PointCloud: _point_cloud,
     CameraInfo: _camera_info,
+    Pose: _odometry,
+    TurnRate: _imu,
     Trigger: _trigger,
 }

@@ -11,7 +11,7 @@ from calgraph.report.pose_picture import DrawnSensor, draw_pose
 from calgraph.report.templates import render
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.reasons import share_clauses
+from calgraph.result.finding import share_clauses
 from calgraph.sensors.kinds import KINDS
 
 # More sensors than this are counted, not listed, in the first lines.

@@ -14,9 +14,9 @@ from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.file_types import Finite
+from calgraph.result.finding import split_clauses
 from calgraph.result.pictures import Pictures, correct_pictures
 from calgraph.result.pose_table import format_rows, list_poses, rows_to_html
-from calgraph.result.reasons import split_clauses
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose
 from calgraph.sensors.kinds import KINDS
 

@@ -30,7 +30,7 @@ def save_residuals(calibration: Calibration, path: Path) -> None:
         for beams in pictures.beam_views:
             writer.writerows(_beam_rows(beams))
         for driven in pictures.drive_views:
-            writer.writerows(_drive_rows(driven))
+            writer.writerows(_beam_rows(driven))
 
 
 def capture_times(calibration: Calibration) -> dict[int, float]:
@@ -53,26 +53,11 @@ def _board_rows(view: BoardView, time: float) -> Iterator[tuple[object, ...]]:
             yield *head, "m", f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{residual:.6f}", "", ""
 
 
-def _beam_rows(view: BeamView) -> Iterator[tuple[object, ...]]:
-    for time, (x, y), residual in zip(view.times, view.points, view.residuals, strict=True):
-        yield (
-            escape_formula(view.sensor),
-            "",
-            _format_time(time),
-            "m",
-            f"{x:.4f}",
-            f"{y:.4f}",
-            "",
-            f"{residual:.6f}",
-            "",
-            "",
-        )
-
-
-def _drive_rows(view: DriveView) -> Iterator[tuple[object, ...]]:
+def _beam_rows(view: BeamView | DriveView) -> Iterator[tuple[object, ...]]:
     head, rows = escape_formula(view.sensor), zip(view.times, view.points.tolist(), view.residuals, strict=True)
-    for time, (x, y, z), residual in rows:
-        yield head, "", _format_time(time), "m", f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{residual:.6f}", "", ""
+    for time, point, residual in rows:
+        x, y, z = (*(f"{value:.4f}" for value in point), "")[:3]
+        yield head, "", _format_time(time), "m", x, y, z, f"{residual:.6f}", "", ""
 
 
 def _format_time(time: float) -> str:

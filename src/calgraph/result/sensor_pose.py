@@ -1,4 +1,4 @@
-"""The pose of one sensor, with its verdict."""
+"""The pose of one sensor, with its verdict, and what rig.yaml states of it beyond what is measured."""
 
 from dataclasses import dataclass, field
 from typing import Literal

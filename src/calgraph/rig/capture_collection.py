@@ -7,7 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from calgraph.boards.camera import PlaneEstimator
 from calgraph.config import Rig
+from calgraph.config.settings import PlaneMethod
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics, separate_poses
@@ -31,7 +33,6 @@ from calgraph.rig.captures.validate_recording import (
 )
 from calgraph.rig.intrinsics.pipeline import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.rig.options import RigOptions
-from calgraph.rig.strategies import select_plane_estimator
 
 _log = logging.getLogger("calgraph")
 
@@ -120,7 +121,7 @@ def _detect_in_timeline(
     )
     cameras = resolved.camera_models() | intrinsics.cameras
     tags = options.select_method(rig.settings.published).tags
-    method = DetectionMethod(cameras, draw_seeds(rig, rng), tags, select_plane_estimator(tags))
+    method = DetectionMethod(cameras, draw_seeds(rig, rng), tags, _select_plane_estimator(tags))
     observations = detect_by_sensors(
         _without(rig, intrinsics.failed), recording, timeline, holds, method,
         cache=options.cache, engine=options.engine, progress=partial(progress, "detecting"),
@@ -164,3 +165,12 @@ def separate_snapshots(rig: Rig, recording: Recording) -> Recording:
         max_duration=settings.max_pose_recording,
         gap=settings.max_snapshot_gap,
     )
+
+
+def _select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
+    """The estimator of a board's plane from its tags; None for one PnP over all corners."""
+    if method == "pnp":
+        return None
+    from calgraph.rig.published.mean_plane import estimate_mean_plane
+
+    return estimate_mean_plane

@@ -8,7 +8,7 @@ from calgraph.config.settings import MatchFilter, PlaneMethod, PublishedSettings
 from calgraph.errors import InputError
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, RecordingCache
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.rig.bundle.priors import RigidFile
 from calgraph.rig.bundle.problem import Estimator, SolverOptions
 

@@ -1,5 +1,7 @@
 """Rigs: from one recording of a board carried around a robot to its tree of transforms."""
 
+import logging
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -8,8 +10,10 @@ from types import MappingProxyType
 import numpy as np
 
 from calgraph.config import Cylinder, People, Rig, Surroundings
-from calgraph.errors import CalgraphError, InputError
+from calgraph.config.settings import RigStart
+from calgraph.errors import CalgraphError, InputError, Rejected
 from calgraph.geometry import Array
+from calgraph.graph.averaging import select_averaging
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.parallel.engine import parallel_call
 from calgraph.parallel.processes import forked_jobs
@@ -38,12 +42,12 @@ from calgraph.rig.checks.pose_steps import PoseStep
 from calgraph.rig.checks.remedies import find_remedies
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, estimate_pairs, select_successful
-from calgraph.rig.pairs.rig_initialization import initialize_rig
+from calgraph.rig.pairs.rig_initialization import Initialization, initialize_rig
 from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_impossible
-from calgraph.rig.step_log import log_captures, log_pairs, log_solution
-from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
 from calgraph.verdict.grades import exceeds_tolerance
+
+_log = logging.getLogger("calgraph")
 
 
 def calibrate_rig(
@@ -145,11 +149,11 @@ def build_problem_from_captures(
 
     Poses ``known`` (4, 4) from an earlier solution take the place of RANSAC where most captures agree with them.
     """
-    log_captures(captures)
+    _log_captures(captures)
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
     method = options.select_method(rig.settings.published)
-    start = select_initialization(method.start)
+    start = _select_initialization(method.start)
 
     def span_tree(pairs: PairwiseEstimates) -> SpanningTree:
         return initialize_rig(rig.root, select_successful(pairs), start, rng, settings.max_stddev)
@@ -161,7 +165,7 @@ def build_problem_from_captures(
     rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0], options)
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
-    log_pairs(pairs)
+    _log_pairs(pairs)
     solver = SolverOptions(estimator=method.estimator, keep=method.keep, folds=options.folds)
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
@@ -268,6 +272,72 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
             keep=solver.keep, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
-        joint = solve_baseline(problem, tree)
-    log_solution(joint)
+        joint = _solve_baseline(problem, tree)
+    _log_solution(joint)
     return joint, tree
+
+
+def _select_initialization(start: RigStart) -> Initialization:
+    """How a rig's start poses are computed."""
+    if start == "tree" or start == "identity":
+        return start
+    return select_averaging(start) or "consensus"
+
+
+def _solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
+    """The solution of a rig by the hypergraph of MSG-Cal."""
+    from calgraph.rig.published.hypergraph import solve_hypergraph
+
+    solution = solve_hypergraph(
+        tree,
+        select_successful(problem.pairs),
+        problem.captures.detections,
+        keep=problem.solver.keep,
+        settings=problem.rig.settings,
+    )
+    return RigSolution(
+        "hypergraph",
+        solution.T_root_sensor,
+        solution.joint_covariance,
+        solution.residuals,
+        converged=solution.converged,
+    )
+
+
+def _log_captures(captures: CaptureSet) -> None:
+    """Logs the captures, and in how many of them each sensor detected the board."""
+    _log.info("captures: %d", len(captures.holds))
+    for name, detections in captures.detections.items():
+        reasons = Counter(reason for (_, sensor), reason in captures.rejections.items() if sensor == name)
+        missed = "".join(f"; {count} times: {reason}" for reason, count in reasons.most_common(1))
+        _log.info("detections of %s: in %d of %d captures%s", name, len(detections), len(captures.holds), missed)
+
+
+def _log_pairs(pairs: PairwiseEstimates) -> None:
+    """Logs what each pair of sensors has in common, or why it has no pose."""
+    for (a, b), pair in pairs.items():
+        if isinstance(pair, Rejected):
+            found = f"no pose, {pair.reason}"
+        else:
+            found = f"{pair.inliers.sum()} inliers of {len(pair.inliers)} matches"
+        _log.info("pair %s, %s: %s", a, b, found)
+
+
+def _log_solution(joint: RigSolution) -> None:
+    """Logs the size of the joint solution of a rig, and its iterations."""
+    solved = joint.solved_bundle
+    if solved is None:
+        _log.info("joint solution by %s: %d sensors", joint.estimator, len(joint.T_root_sensor))
+        return
+    bundle, minimized = solved.bundle, solved.minimized
+    _log.info(
+        "joint solution: %d sensors, %d boards, %d further parameters, %d detections, %d of them rejected; "
+        "%d iterations, %s",
+        len(bundle.sensors),
+        len(solved.captures),
+        bundle.parameter_count - 6 * bundle.body_count,
+        sum(len(views.board) for views in bundle.views),
+        len(joint.rejected),
+        minimized.iterations,
+        "converged" if joint.converged else "not converged",
+    )

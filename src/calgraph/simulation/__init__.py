@@ -4,7 +4,6 @@ from calgraph.simulation.drive_scenario import STANDARD_RIGS, DriveFaults, Drive
 from calgraph.simulation.drive_simulation import DriveTruth, SimulatedDrive, simulate_drive
 from calgraph.simulation.hall_scenario import HallFaults, HallScenario
 from calgraph.simulation.hall_simulation import HallTruth, SimulatedHall, simulate_hall
-from calgraph.simulation.network_recording import simulate_network
 from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_scenario import (
     LayoutName,
@@ -18,6 +17,7 @@ from calgraph.simulation.network_simulation import (
     build_network,
     network_rig,
     network_truth,
+    simulate_network,
     simulate_network_scans,
     simulate_scans,
 )

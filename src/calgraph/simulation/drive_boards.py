@@ -230,16 +230,9 @@ def _tag_corners(board: Board) -> Array:
     return np.array([[*tag.center, 0.0] + tag.size * unit for tag in board.tags])
 
 
-def camera_poses(motion: Motion, mount: DriveMount, times: Array) -> Array:
-    """(N, 4, 4) T_world_camera at true times (N,), s from the start of the recording."""
-    late = times > mount.clock.fault
-    T = np.where(late[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
-    return np.asarray(motion.poses(times) @ T)
-
-
 def _project_at(motion: Motion, mount: DriveMount, camera: CameraModel, times: Array, points: Array) -> Array:
     """(N, P, 2) pixels of points (P, 3) at times; NaN behind the camera."""
-    T = se3.inverse(camera_poses(motion, mount, times))
+    T = se3.inverse(mount.poses(motion, times))
     local = np.einsum("nij,pj->npi", T[:, :3, :3], points) + T[:, None, :3, 3]
     return camera.project(local.reshape(-1, 3)).reshape(len(times), -1, 2)
 
@@ -265,7 +258,7 @@ def _select_tags(
     N = len(times)
     inside = camera.contains(pixels.reshape(-1, 2)).reshape(N, -1, 4).all(axis=2)
     edges = np.linalg.norm(np.diff(pixels.reshape(N, -1, 4, 2), axis=2), axis=-1)
-    T = camera_poses(motion, mount, times)
+    T = mount.poses(motion, times)
     toward = T[:, :3, 3] - board.T_world_board[:3, 3]
     distance = np.linalg.norm(toward, axis=1)
     cosine = toward @ board.T_world_board[:3, 2] / distance

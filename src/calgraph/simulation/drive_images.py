@@ -20,7 +20,7 @@ from calgraph.simulation.camera_render import (
     move_render_context,
     render_board_texture,
 )
-from calgraph.simulation.drive_boards import WallBoard, camera_poses
+from calgraph.simulation.drive_boards import WallBoard
 from calgraph.simulation.drive_robot import DriveMount
 from calgraph.simulation.drive_simulation import SimulatedDrive
 from calgraph.simulation.drive_surfaces import Surface
@@ -55,7 +55,7 @@ def render_images(drive: SimulatedDrive, mount: DriveMount) -> Iterator[Image]:
     # The boards come last.
     others = truth.world.surfaces[: len(truth.world.surfaces) - len(prints)]
     for time, stamp in zip(times.tolist(), stamps.tolist(), strict=True):
-        T = camera_poses(truth.motion, mount, np.array([time]))[0]
+        T = mount.poses(truth.motion, np.array([time]))[0]
         context = move_render_context(first, T, solids, np.random.default_rng(scenario.seed))
         seen = [
             (board, paint)
@@ -102,9 +102,7 @@ def _expose(
     """The image with its boards: bands of rows at their times, each the mean of several moments."""
     errors, height = drive.scenario.camera_errors, len(context.background)
     camera = drive.truth.boards.cameras[mount.sensor.name].true
-    ends = camera_poses(
-        drive.truth.motion, mount, time + np.array([-0.5, 0.5]) * (errors.readout + errors.exposure)
-    )
+    ends = mount.poses(drive.truth.motion, time + np.array([-0.5, 0.5]) * (errors.readout + errors.exposure))
     middle = np.array([board.T_world_board[:3, 3] for board, _ in boards])
     before, after = (camera.project(se3.apply(se3.inverse(T), middle)) for T in ends)
     still = not np.nanmax(np.abs(after - before), initial=0.0) > _STILL
@@ -115,7 +113,7 @@ def _expose(
         late = ((first + last) / 2 / height - 0.5) * errors.readout
         for share in (np.arange(exposures) + 0.5) / exposures - 0.5:
             moment = np.array([time + late + share * errors.exposure])
-            moved = replace(context, T_world_camera=camera_poses(drive.truth.motion, mount, moment)[0])
+            moved = replace(context, T_world_camera=mount.poses(drive.truth.motion, moment)[0])
             drawn = context.background.copy()
             for board, paint in boards:
                 draw_board(drawn, moved, board.T_world_board, paint)

@@ -1,14 +1,13 @@
 """The files of a simulated drive: recording, rig.yaml and ground truth."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
-from calgraph.geometry import Array, so3
+from calgraph.geometry import so3
 from calgraph.io.text_writing import save_yaml
 from calgraph.recording.writer import RecordingWriter, serialize_message
 from calgraph.sensors import CameraInfo
@@ -55,8 +54,7 @@ def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, in
         for sensor in scenario.sensors
     }
     for name in drive.truth.boards.cameras:
-        topics = {"topic": f"/{name}/image_raw/compressed", "camera_info": f"/{name}/camera_info"}
-        sensors[name] = {"kind": "camera", **topics, "frame_id": name}
+        sensors[name]["camera_info"] = f"/{name}/camera_info"
     target: dict[str, Any] = {"kind": "surroundings"}
     if drive.truth.boards.boards:
         target["boards"] = [
@@ -103,66 +101,20 @@ def _list_events(drive: SimulatedDrive) -> Iterator[_Event]:
     def arrival(name: str, end: float) -> int:
         return round(1e9 * (end - offsets[name] + rng.uniform(*_LATENCY_RANGE)))
 
-    ranging = [sensor.name for sensor in drive.scenario.sensors if sensor.kind in RANGING]
-    for name, topic in ((name, drive.topics[name]) for name in ranging):
-        for message in drive.messages[topic]:
-            end = message.stamp + getattr(message, "duration", 0.0)
-            yield arrival(name, end), topic, *serialize_message(store, message)
+    def measured(names: Iterable[str]) -> Iterator[_Event]:
+        for name in names:
+            for message in drive.messages[drive.topics[name]]:
+                end = message.stamp + getattr(message, "duration", 0.0)
+                yield arrival(name, end), drive.topics[name], *serialize_message(store, message)
+
+    yield from measured(sensor.name for sensor in drive.scenario.sensors if sensor.kind in RANGING)
     for mount in drive.truth.mounts:
         if mount.sensor.kind != "camera":
             continue
         name, camera = mount.sensor.name, drive.truth.boards.cameras[mount.sensor.name].stated
         for image in render_images(drive, mount):
             at = arrival(name, image.stamp)
-            yield at, f"/{name}/image_raw/compressed", *serialize_message(store, image, "jpeg")
+            yield at, drive.topics[name], *serialize_message(store, image, "jpeg")
             info = CameraInfo(image.stamp, name, camera)
             yield at, f"/{name}/camera_info", *serialize_message(store, info)
-    for name, (stamps, poses) in drive.trajectories.items():
-        for stamp, T in zip(stamps.tolist(), poses, strict=True):
-            ros_type, content = _odometry(store, stamp, name, T)
-            yield arrival(name, stamp), f"/{name}/odometry", ros_type, store.serialize_cdr(content, ros_type)
-    for name, (stamps, rates) in drive.rates.items():
-        for stamp, rate in zip(stamps.tolist(), rates, strict=True):
-            ros_type, content = _imu(store, stamp, name, rate)
-            yield arrival(name, stamp), f"/{name}/imu", ros_type, store.serialize_cdr(content, ros_type)
-
-
-def _header(store: Typestore, stamp: float, frame_id: str) -> Any:
-    sec, nanosec = divmod(round(1e9 * stamp), 10**9)
-    time = store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-    return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
-
-
-def _vector(store: Typestore, values: Array, name: str = "Vector3") -> Any:
-    return store.types[f"geometry_msgs/msg/{name}"](**dict(zip("xyzw", values.tolist(), strict=False)))
-
-
-def _odometry(store: Typestore, stamp: float, name: str, T: Array) -> tuple[str, Any]:
-    types, none = store.types, np.zeros(36)
-    pose = types["geometry_msgs/msg/Pose"](
-        position=_vector(store, T[:3, 3], "Point"),
-        orientation=_vector(store, so3.quaternion(T[:3, :3]), "Quaternion"),
-    )
-    zero = _vector(store, np.zeros(3))
-    twist = types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
-    return "nav_msgs/msg/Odometry", types["nav_msgs/msg/Odometry"](
-        header=_header(store, stamp, f"{name}_world"),
-        child_frame_id=name,
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=none),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=none),
-    )
-
-
-def _imu(store: Typestore, stamp: float, name: str, rate: Array) -> tuple[str, Any]:
-    # A covariance that begins with -1 states that there is no such measurement.
-    missing = np.zeros(9)
-    missing[0] = -1
-    return "sensor_msgs/msg/Imu", store.types["sensor_msgs/msg/Imu"](
-        header=_header(store, stamp, name),
-        orientation=_vector(store, np.array([0.0, 0, 0, 1]), "Quaternion"),
-        orientation_covariance=missing,
-        angular_velocity=_vector(store, rate),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=_vector(store, np.zeros(3)),
-        linear_acceleration_covariance=missing,
-    )
+    yield from measured([*drive.trajectories, *drive.rates])

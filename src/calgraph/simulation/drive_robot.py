@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.simulation.drive_beams import beam_directions
+from calgraph.simulation.drive_motion import Motion
 from calgraph.simulation.drive_scenario import RANGING, DriveScenario, DriveSensor
 
 _DRAWS = 300
@@ -62,6 +63,12 @@ class DriveMount:
     stamps_end: bool
     """Whether messages have the time of their last point, as some drivers do."""
     clock: DriveClock
+
+    def poses(self, motion: Motion, times: Array) -> Array:
+        """(N, 4, 4) T_world_sensor at true times (N,), s from the start of the recording."""
+        late = times > self.clock.fault
+        T_base_sensor = np.where(late[:, None, None], self.T_base_sensor_after, self.T_base_sensor)
+        return np.asarray(motion.poses(times) @ T_base_sensor)
 
     def covers(self, points: Array) -> NDArray[np.bool_]:
         """(N,) whether points (N, 3) of the base frame are in its field, or within a degree of it."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.sensors import LaserScan, Message, PointCloud, Pose, TurnRate
 from calgraph.simulation.drive_beams import draw_scanner_errors, measure, sweep_columns
 from calgraph.simulation.drive_boards import (
@@ -175,13 +175,6 @@ def _draw_boards(
     return SimulatedBoards(boards, cameras)
 
 
-def sensor_poses(mount: DriveMount, motion: Motion, times: Array) -> Array:
-    """(N, 4, 4) T_world_sensor at true times (N,), s from the start of the recording."""
-    late = times > mount.clock.fault
-    T_base_sensor = np.where(late[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
-    return np.asarray(motion.poses(times) @ T_base_sensor)
-
-
 def _simulate_scanner(
     scenario: DriveScenario, world: DriveWorld, motion: Motion, mount: DriveMount, rng: np.random.Generator
 ) -> list[PointCloud] | list[LaserScan]:
@@ -190,7 +183,7 @@ def _simulate_scanner(
     stretch = 1 + scenario.faults.range_scale * (sensor.name == scenario.faulty)
     starts = np.arange(clock.phase, scenario.duration - clock.period, clock.period)
     columns = sweep_columns(sensor, mount.centre, mount.spin, starts, clock.period)
-    poses = sensor_poses(mount, motion, columns.times)
+    poses = mount.poses(motion, columns.times)
     per_sweep = len(columns.times) // len(starts)
     block = max(1, _BLOCK_COLUMNS // per_sweep) * per_sweep
     ranges = np.concatenate(
@@ -261,7 +254,7 @@ def _simulate_trajectory(
 ) -> tuple[Array, Array]:
     """The trajectory of another program: it drifts by 0.5 % of the way, has noise, and may jump."""
     times = _times_of(scenario, mount)
-    true = sensor_poses(mount, motion, times)
+    true = mount.poses(motion, times)
     # Errors per step in the sensor's frame accumulate; noise of each pose does not.
     step = se3.inverse(true[:-1]) @ true[1:]
     moved = np.linalg.norm(step[:, :3, 3], axis=1)
@@ -311,7 +304,7 @@ def _drive_truth(
         {mount.sensor.name: mount.clock.offset - root.clock.offset for mount in mounts},
         root.T_base_sensor,
         scenario.start_time + root.clock.stamps(times),
-        sensor_poses(root, motion, times),
+        root.poses(motion, times),
         mounts,
         motion,
         world,

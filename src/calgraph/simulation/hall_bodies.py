@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.geometry import Array, Index
+from calgraph.simulation.drive_beams import Hits
 
 _TINY = 1e-12
 
@@ -43,17 +44,6 @@ class Mover(NamedTuple):
     """m."""
     parts: Callable[[Array], list[Part]]
     """Its solids at times (G,)."""
-
-
-class MoverHits(NamedTuple):
-    """What rays hit of a mover."""
-
-    ranges: Array
-    """(N,) m; infinite where they miss it."""
-    cosines: Array
-    """(N,) of the angle of incidence."""
-    reflectivities: Array
-    """(N,)."""
 
 
 def place_ellipsoid(R: Array, centre: Array, radii: Array | tuple[float, float, float], grey: float) -> Part:
@@ -99,7 +89,7 @@ def place_limb(
     return Part(A, start, mean / unit, end_radius / width, reflectivity=grey)
 
 
-def cast_mover(mover: Mover, times: Array, column: Index, origin: Array, directions: Array) -> MoverHits:
+def cast_mover(mover: Mover, times: Array, column: Index, origin: Array, directions: Array) -> Hits:
     """Hits of rays from one point.
 
     Args:
@@ -127,7 +117,7 @@ def cast_mover(mover: Mover, times: Array, column: Index, origin: Array, directi
             ranges[closer] = t
             cosines[closer] = np.abs(np.sum(normal * d[:, closer], axis=0)) / np.maximum(scale, _TINY)
             grey[closer] = part.reflectivity
-    return MoverHits(ranges, cosines, grey)
+    return Hits(ranges, cosines, grey)
 
 
 def _cast_limb(o: Array, d: Array, length: float, taper: float) -> Array:

@@ -1,25 +1,28 @@
-"""Simulation of stationary 3-D LiDARs, and 2-D scanners, in a hall with walking people, and the ground truth."""
+"""Simulation of stationary 3-D LiDARs, and 2-D scanners, in a hall with people; its files and ground truth."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording.record_list import IndexedRecording
+from calgraph.recording.writer import RecordingWriter, serialize_message
 from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
 from calgraph.simulation.drive_beams import Columns, draw_scanner_errors
 from calgraph.simulation.drive_scenario import DriveSensor
 from calgraph.simulation.hall_beams import simulate_sweeps
-from calgraph.simulation.hall_building import build_building, select_near
 from calgraph.simulation.hall_mounts import HallMount, mount_sensors
 from calgraph.simulation.hall_scenario import HallScenario
 from calgraph.simulation.hall_world import Hall, build_hall
+from calgraph.simulation.truth import GroundTruth, save_truth
 
 _STAMP_JITTER, _LOST_MESSAGES = 0.0002, 0.002
 """Standard deviation of stamps, s, and probability that a message is not recorded, as in drives."""
@@ -107,16 +110,12 @@ def simulate_hall(scenario: HallScenario) -> SimulatedHall:
     Raises:
         InputError: there are too many people for the hall, or no place for a sensor.
     """
-    if scenario.building:
-        hall, mounts = build_building(scenario)
-    else:
-        hall = build_hall(scenario)
-        mounts = mount_sensors(scenario, hall, np.random.default_rng((scenario.seed, 10)))
+    hall = build_hall(scenario)
+    mounts = mount_sensors(scenario, hall, np.random.default_rng((scenario.seed, 10)))
     ranges, stamps = {}, {}
     for index, mount in enumerate(mounts):
         rng = np.random.default_rng((scenario.seed, 100 + index))
-        near = select_near(hall, mount) if scenario.building else hall
-        ranges[mount.sensor.name], stamps[mount.sensor.name] = _simulate_sensor(scenario, near, mount, rng)
+        ranges[mount.sensor.name], stamps[mount.sensor.name] = _simulate_sensor(scenario, hall, mount, rng)
     return SimulatedHall(scenario, ranges, stamps, _describe_truth(hall, mounts))
 
 
@@ -163,3 +162,28 @@ def _add_false_returns(ranges: NDArray[np.float32], share: float, rng: np.random
     for row in ranges:
         rays = rng.choice(len(row), rng.poisson(share * len(row)))
         row[rays] = np.minimum(np.nan_to_num(row[rays], nan=20.0), 0.5 + 15.0 * rng.random(len(rays)) ** 2)
+
+
+def record_hall(scenario: HallScenario, out: Path, progress: Callable[[int, int], None]) -> None:
+    """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml``, ``out/truth.yaml`` and ``out/scenario.yaml``.
+
+    Args:
+        scenario: hall, sensors and people.
+        out: folder, created if missing; it must not hold a recording yet.
+        progress: called with the number of messages written, and with that in total.
+
+    Raises:
+        InputError: there is no place for a person or a sensor, or a recording in ``out`` already.
+    """
+    simulated = simulate_hall(scenario)
+    truth, store = simulated.truth, get_typestore(Stores.ROS2_HUMBLE)
+    total = sum(topic.count for topic in simulated.recording.topics)
+    with RecordingWriter(out / "recording") as writer:
+        for done, record in enumerate(simulated.recording.records(), start=1):
+            message = serialize_message(store, record.decode())
+            writer.write_serialized(record.topic, *message, round(1e9 * record.arrival))
+            progress(done, total)
+    rig = simulated.rig.model_dump(mode="json", exclude_none=True, exclude={"settings"})
+    save_yaml(out / "rig.yaml", rig)
+    save_truth(out / "truth.yaml", GroundTruth(truth.root, truth.T_root_sensor, (), truth.clock_offsets))
+    save_yaml(out / "scenario.yaml", asdict(scenario), f"seed: {scenario.seed}")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from calgraph.config import Rig
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
-from calgraph.result.reasons import split_clauses
+from calgraph.result.finding import split_clauses
 from calgraph.verdict.comparison import ExtrinsicsComparison, SensorComparison, compare_poses, match_poses
 from calgraph.verdict.grades import grade_pose, names_sources
 

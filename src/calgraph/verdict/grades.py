@@ -11,8 +11,7 @@ from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Remedy, Verdict
-from calgraph.result.finding import Finding
-from calgraph.result.reasons import split_clauses
+from calgraph.result.finding import Finding, split_clauses
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.sensors.kinds import KINDS
 

@@ -27,7 +27,7 @@ from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
 from calgraph.result import Calibration, load_calibration, save_calibration
 from calgraph.sensors.kinds import KINDS
 from leg_scenes import T_ROOT, build_network
-from remedies import solve_network
+from taken_remedies import solve_network
 
 NAMES = ("west", "north", "east")
 STATED = dict.fromkeys(NAMES, Lidar2dUncertainty())

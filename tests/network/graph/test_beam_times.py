@@ -8,8 +8,7 @@ import pytest
 
 from calgraph.io.records import decode_records, encode_records
 from calgraph.network.options import NetworkOptions
-from calgraph.network.timed_tracks import track_with_beam_times
-from calgraph.network.track_recording import track_people
+from calgraph.network.track_recording import track_people, track_with_beam_times
 from calgraph.network.tracking.scan_stack import ScanRun, add_beam_times, find_untimed_scans, stack_scans
 from calgraph.network.tracking.track import TRACK_TYPES, ScannerTracks
 from calgraph.recording import MessageRecording
@@ -90,7 +89,7 @@ def make_recording(seed: int, turn: int, **scenario: object) -> tuple[object, Me
 def test_tracks_show_whether_scanners_turn(turn: int) -> None:
     """A minute with two people in an office; in 13 such recordings of offices and labs all decisions are right."""
     rig, recording = make_recording(0, turn)
-    with mock.patch("calgraph.network.timed_tracks.track_people", wraps=track_people) as tracking:
+    with mock.patch("calgraph.network.track_recording.track_people", wraps=track_people) as tracking:
         _, _, findings = track_with_beam_times(rig, recording, NetworkOptions())  # type: ignore[arg-type]
     turns = [call.args[5] for call in tracking.call_args_list[1:]]
     assert turns == ([dict.fromkeys(rig.sensors, turn)] if turn else [])  # type: ignore[attr-defined]

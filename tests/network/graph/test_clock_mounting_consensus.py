@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.network.graph.clock_consensus import average_clocks
-from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.network.graph.clock_mounting_consensus import (
+    ClockMountingSolution,
+    average_clocks,
+    resolve_clocks_and_mountings,
+)
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 NAMES = ("a", "b", "c", "d", "e")

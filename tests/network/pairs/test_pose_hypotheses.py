@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.pose_hypotheses import propose_poses
+from calgraph.network.pairs.hypothesis_evidence import propose_poses
 from calgraph.network.pairs.synchronized_tracks import pair_samples
 from track_pairs import T_A_B, gather_samples, observe_walks, walk_along_curve
 
@@ -54,14 +54,14 @@ def test_trajectories_of_another_shape_are_not_aligned(monkeypatch: pytest.Monke
     extent = 2.0 / np.sqrt(12) * np.sqrt(21 / 19)  # of 20 evenly spaced positions
     line, half = walk_straight(2.0), walk_straight(1.0)
     for factor, count in ((1.02, 3), (0.98, 0)):
-        monkeypatch.setattr("calgraph.network.pairs.pose_hypotheses.MAX_RMS", factor * extent / 2)
+        monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence.MAX_RMS", factor * extent / 2)
         assert len(propose_for(line, half)) == count
 
 
 def test_proposals_are_limited_to_the_best_and_a_random_rest(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calgraph.network.pairs.pose_hypotheses.MAX_RMS", 2.0)
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence.MAX_RMS", 2.0)
     walks = [walk_along_curve(20.0, number) for number in (0, 1)]
     pairs = observe_walks(walks, rng)
     poses = propose_poses(pairs, rng, max_count=20)

@@ -25,7 +25,7 @@ from calgraph.network.pairs.hypothesis_evidence import (
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.network.pairs.track_registration import NuisancePrior, TrackRegistration
-from calgraph.network.strategies import select_center_estimator
+from calgraph.network.track_recording import select_center_estimator
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording

@@ -7,8 +7,7 @@ import pytest
 
 import track_pairs
 from calgraph.geometry import Array, invert_2x2, se2
-from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
-from calgraph.network.pairs.pose_hypotheses import propose_poses
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis, propose_poses
 from calgraph.network.pairs.synchronized_tracks import (
     SimultaneousPairs,
     TrackSamples,
@@ -210,7 +209,7 @@ def test_the_first_proposal_is_the_pose() -> None:
 
 
 def test_proposals_are_limited_to_the_best_and_a_random_selection(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.network.pairs.pose_hypotheses.MAX_RMS", 1.0)
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence.MAX_RMS", 1.0)
     ticks = np.arange(300.0)
     several = [replace(samples(np.eye(3), ticks + 37 * k), tick=ticks.astype(np.intp)) for k in range(6)]
     merged = TrackSamples(

@@ -11,8 +11,8 @@ from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
 from calgraph.network.space.joint import solve_space
-from calgraph.network.space.level_scanners import observe_scanner, stand_on_floor
 from calgraph.network.space.observations import StaticPoints
+from calgraph.network.space.start import observe_scanner, stand_on_floor
 from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.simulation import HallScenario, simulate_hall
 from calgraph.surfaces.sensor_states import SensorState

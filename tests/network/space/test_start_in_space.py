@@ -10,7 +10,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.floor_plane import level
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.observe import observe_clouds
+from calgraph.network.space.pipeline import observe_clouds
 from calgraph.network.space.start import start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.parallel.progress import no_progress

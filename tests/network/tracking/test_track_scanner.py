@@ -13,7 +13,7 @@ from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.config.settings import CenterFeature, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.network.strategies import select_center_estimator
+from calgraph.network.track_recording import select_center_estimator
 from calgraph.network.tracking.clusters import Clusters
 from calgraph.network.tracking.features import ObjectVelocities, measure_fixed_ellipses
 from calgraph.network.tracking.track import ScannerTracks, Track

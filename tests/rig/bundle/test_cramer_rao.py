@@ -9,10 +9,10 @@ import pytest
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, se3
-from calgraph.rig.bundle.estimate import cramer_rao
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.simulation import CameraOptions, RigScenario, build_world
 from detected_rigs import exact_rig
+from efficiency import solve_at_truth
 from ideal_detections import simulate_detections
 
 STEP = 1e-5
@@ -91,7 +91,7 @@ def test_bound_is_that_of_numerical_derivatives(model: str) -> None:
     rig, captured = exact_rig(rig), without_edges(captured)
     T_root_sensor = {rig.root: np.eye(4), **truth.T_root_sensor}
     T_root_board = {i: board.T_root_board for i, board in enumerate(truth.boards)}
-    bound = cramer_rao(rig, captured, T_root_sensor, T_root_board)
+    bound, _ = solve_at_truth(rig, captured, T_root_sensor, T_root_board)
     for name, expected in numerical_bound(rig, captured, T_root_sensor, T_root_board).items():
         # The estimator's robust weights withhold a few thousandths of the information of Gaussian noise.
         relative = np.linalg.eigvals(np.linalg.solve(expected, bound[name])).real

@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.geometry import Array, se3
-from calgraph.rig.bundle.estimate import cramer_rao, solve_bundle
+from calgraph.rig.bundle.estimate import solve_bundle
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
+from efficiency import solve_at_truth
 
 pytestmark = pytest.mark.slow
 
@@ -29,7 +30,7 @@ def runs() -> list[tuple[DetectedRig, RigSolution]]:
 
 def bound(one: DetectedRig) -> dict[str, Array]:
     T_root_board = {i: board.T_root_board for i, board in enumerate(one.truth.boards)}
-    return cramer_rao(one.rig, one.captures, one.T_root_sensor, T_root_board)
+    return solve_at_truth(one.rig, one.captures, one.T_root_sensor, T_root_board)[0]
 
 
 def interval(count: int) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from calgraph.geometry import se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result import read_extrinsics
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.priors import (

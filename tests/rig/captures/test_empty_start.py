@@ -11,7 +11,7 @@ from calgraph.config import Board, Capture, Rig, Tag
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.geometry import Array
 from calgraph.recording import Recording, open_recording
-from calgraph.recording.in_memory import MessageRecording
+from calgraph.recording.record_list import MessageRecording
 from calgraph.rig.captures.empty_start import EmptyStart, find_empty_start, resolve_background
 from calgraph.sensors import Image, LaserScan, PointCloud, Trigger
 

@@ -18,7 +18,7 @@ from calgraph.verdict.comparison import ExtrinsicsComparison
 from ideal_detections import simulate_detections
 from model_error_rigs import rig_world
 from model_errors import with_captures
-from remedies import state_uncertainty
+from taken_remedies import state_uncertainty
 
 SEED = 100
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
-from calgraph.network.graph.clock_consensus import average_clocks
+from calgraph.network.graph.clock_mounting_consensus import average_clocks
 from calgraph.network.graph.cuts import (
     AmbiguousPart,
     AveragedGraph,

@@ -20,9 +20,9 @@ from calgraph.network.pairs.hypothesis_evidence import (
     PoseHypothesis,
     build_hypothesis,
     compute_chance_evidence,
+    propose_poses,
     subsample_pairs,
 )
-from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.scanner_pair import (
     CLOCK_SIGMA,
     COARSE_PAIRS,

@@ -28,12 +28,12 @@ from calgraph.network.pairs.hypothesis_evidence import (
     build_hypothesis,
     count_expected,
     is_credible,
+    propose_poses,
     select_distinct,
     select_distinct_rows,
     subsample_pairs,
 )
 from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
-from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, pair_samples, to_ticks
 from calgraph.network.pairs.track_registration import (
     MAX_MODEL_ERROR,

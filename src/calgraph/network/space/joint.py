@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se_n
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.periods import release_periods
-from calgraph.network.space.person_batches import LocalPerson, PeopleEquations, add_persons, reduce_persons
+from calgraph.network.space.person_batches import (
+    LocalPerson,
+    PeopleEquations,
+    add_persons,
+    reduce_persons,
+    release_periods,
+)
 from calgraph.network.space.person_paths import BodyNoise, PersonEquations, expect_shapes
 from calgraph.network.space.persons import find_persons, gather_samples
 from calgraph.network.space.static_surfaces import (

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config import Cylinder, Lidar2dSpec, Lidar3dSpec, Rig
+from calgraph.config.settings import TrackingSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_with_earlier
@@ -14,13 +15,15 @@ from calgraph.network.joint.planar_poses import NetworkPoses
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.assemble import SpaceResult, assemble_space, express_in_root
+from calgraph.network.space.bodies import find_bodies
+from calgraph.network.space.body_tracks import track_bodies
+from calgraph.network.space.floor_plane import find_floor
 from calgraph.network.space.joint import SpaceSolution, solve_space
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.observe import observe_clouds
 from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
-from calgraph.network.timed_tracks import track_with_beam_times
+from calgraph.network.track_recording import track_with_beam_times
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.kept_values import Kept
@@ -250,4 +253,36 @@ def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
         pose[2:5] = height, roll, pitch
     return np.array(
         [*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale, *[0.0] * TIMING]
+    )
+
+
+def observe_clouds(
+    splitter: CloudSplitter, spec: Lidar3dSpec, settings: TrackingSettings, rng: np.random.Generator
+) -> SpaceObservations | Rejected:
+    """What a stationary LiDAR measured.
+
+    Args:
+        splitter: that all its clouds were added to.
+        spec: of the sensor, for the errors of its ranges.
+        settings: of tracking.
+        rng: of the search for the floor.
+
+    Returns:
+        Floor, static points and tracks, or why there are none.
+    """
+    split = splitter.finish()
+    if split is None:
+        return Rejected("no cloud has any point")
+    floor = find_floor(split.static, split.moving, spec.uncertainty.range_bias, spec.uncertainty.ring_bias, rng)
+    if isinstance(floor, Rejected):
+        return floor
+    bodies = find_bodies(split.moving, floor.T_floor_sensor, split.view)
+    tracks = track_bodies(bodies, floor.T_floor_sensor, settings)
+    if not tracks:
+        return Rejected(
+            f"{len(bodies.times)} bodies were measured in its sweeps, but none could be tracked for "
+            f"{settings.motion.min_duration:g} s and {settings.motion.min_travel:g} m"
+        )
+    return SpaceObservations(
+        floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step
     )

@@ -9,12 +9,11 @@ from calgraph.errors import InputError
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.camera_info import to_camera_infos
 from calgraph.result.exports.corrections import to_corrections
-from calgraph.result.exports.frames import keep_good_poses, parent_to_root
+from calgraph.result.exports.frames import apply_stated_poses, keep_good_poses, parent_to_root
 from calgraph.result.exports.json_text import to_json
 from calgraph.result.exports.kalibr import to_camchain
 from calgraph.result.exports.tf import to_launch, to_tf_yaml
 from calgraph.result.exports.urdf import to_urdf, update_urdf
-from calgraph.result.stated_pose import apply_stated_poses
 from calgraph.sensors import CameraModel
 
 Parents = Literal["root", "tree"]

@@ -11,10 +11,16 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.geometry.so3 import from_roll_pitch_yaw, roll_pitch_yaw
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import TreeEdge, describe_origin, format_coordinate, frame_ids, tree_edges
+from calgraph.result.exports.frames import (
+    TreeEdge,
+    apply_stated_poses,
+    describe_origin,
+    format_coordinate,
+    frame_ids,
+    tree_edges,
+)
 from calgraph.result.exports.urdf_text import Joint, frames_from_joints, read_joints, replace_origins
 from calgraph.result.frame_tree import FrameTree
-from calgraph.result.stated_pose import apply_stated_poses
 
 
 def to_urdf(calibration: Calibration) -> str:

@@ -18,16 +18,10 @@ from calgraph.rig.bundle.board_observations import (
     locating_sensors,
 )
 from calgraph.rig.bundle.board_outlines import add_outlines
-from calgraph.rig.bundle.bundle_setup import INITIAL_VIEW_BIAS, build_bundle, update_noise
-from calgraph.rig.bundle.bundle_solver import (
-    COARSE_TOLERANCE,
-    Bundle,
-    MinimizedBundle,
-    linearize_bundle,
-    minimize_bundle,
-)
+from calgraph.rig.bundle.bundle_setup import INITIAL_VIEW_BIAS, build_bundle
+from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
-from calgraph.rig.bundle.observations import relative_poses, stack_poses
+from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
 from calgraph.rig.bundle.settling import STEPS_PER_ROUND, select_views, settle_variances
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
@@ -158,33 +152,6 @@ def solve_bundle(
         systematic=summarize_systematic_parameters(bundle, solution.state, solution.equations),
         solved_bundle=SolvedBundle(bundle, solution, np.array([board.capture for board in settled.boards])),
     )
-
-
-def cramer_rao(
-    rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
-) -> dict[str, Array]:
-    """The Cramér–Rao bound (6, 6) on the covariance of each sensor's pose, in the root's axes.
-
-    Systematic errors have the priors of the rig, and edges of boards their least view bias (Van Trees, "Detection,
-    estimation, and modulation theory", 1968, section 2.4.3).
-
-    Args:
-        rig: the rig, with the true noise of its sensors.
-        captured: detections; of each sensor and capture the first.
-        T_root_sensor: true poses (4, 4), the root first.
-        T_root_board: true poses (4, 4) of the board by capture.
-    """
-    detected = {c: {n: 0 for n in T_root_sensor if c in captured.detections[n]} for c in T_root_board}
-    boards = [BoardObservation(c, by) for c, by in detected.items() if by]
-    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
-    truth = replace(state, T_root_board=stack_poses([T_root_board[board.capture] for board in boards]))
-    bundle, with_offsets = add_outlines(bundle, truth, rig, captured.detections, boards, 0.0)
-    truth = replace(truth, extra=with_offsets.extra)
-    least = np.array([bundle.least_bias_variance(k) for k in range(len(bundle.all_views))])
-    exact = replace(update_noise(bundle, truth), bias_variance=least)
-    bound = pose_covariance(exact, truth, linearize_bundle(exact, truth))
-    blocks = bound.reshape(len(bundle.sensors), 6, len(bundle.sensors), 6)
-    return {name: blocks[i, :, i] for i, name in enumerate(bundle.sensors)}
 
 
 # Rounds with outlines: all of 35 rigs of the frozen corpus settle in 2 to 6.

@@ -14,7 +14,7 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, grow_tree
 from calgraph.io.strict_model import StrictModel
 from calgraph.result import ExtrinsicsFile
-from calgraph.result.prior_file import PriorFile
+from calgraph.result.extrinsics_file import PriorFile
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
 from calgraph.rig.bundle.observations import stack_poses

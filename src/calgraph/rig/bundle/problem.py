@@ -19,8 +19,8 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.strict_model import StrictModel
 from calgraph.result.covariance_entries import check_semidefinite, check_symmetric
+from calgraph.result.extrinsics_file import PriorFile, has_inverse
 from calgraph.result.frame_tree import MAX_DISTANCE
-from calgraph.result.prior_file import PriorFile, has_inverse
 from calgraph.rig.bundle.priors import PosePrior, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detection_tables import DETECTIONS
