@@ -63,8 +63,8 @@ def mount_sensors(scenario: HallScenario, hall: Hall, rng: np.random.Generator) 
     mounts = []
     turn = rng.uniform()
     for index, sensor in enumerate(scenario.sensors):
-        clock = _draw_clock(scenario, sensor, index == 0, rng)
-        columns = _draw_columns(sensor, clock.period, rng)
+        clock = draw_clock(scenario, sensor, index == 0, rng)
+        columns = draw_columns(sensor, clock.period, rng)
         scanner = index - len(scenario.lidars)
         for _ in range(_DRAWS):
             place = _draw_place(hall, turn + index / len(scenario.sensors) + rng.normal(0, 0.05), rng)
@@ -81,7 +81,7 @@ def mount_sensors(scenario: HallScenario, hall: Hall, rng: np.random.Generator) 
     return tuple(mounts)
 
 
-def _draw_clock(scenario: HallScenario, sensor: DriveSensor, root: bool, rng: np.random.Generator) -> DriveClock:
+def draw_clock(scenario: HallScenario, sensor: DriveSensor, root: bool, rng: np.random.Generator) -> DriveClock:
     """A clock within the bounds of the scenario, and the phase and rate of sweeps."""
     faulty = sensor.name == scenario.faulty
     period = (1 + rng.uniform(-1e-3, 1e-3)) / sensor.rate
@@ -96,7 +96,7 @@ def _draw_clock(scenario: HallScenario, sensor: DriveSensor, root: bool, rng: np
     )
 
 
-def _draw_columns(sensor: DriveSensor, period: float, rng: np.random.Generator) -> Columns:
+def draw_columns(sensor: DriveSensor, period: float, rng: np.random.Generator) -> Columns:
     """The pattern of a sweep: columns from right to left, or from left to right."""
     width = np.radians(sensor.sector)
     count = round(sensor.sector / sensor.step) + 1

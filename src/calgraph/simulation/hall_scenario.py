@@ -58,6 +58,8 @@ class HallScenario:
     """The first is the root."""
     scanners: tuple[float, ...] = ()
     """Heights of 2-D scanners over the floor, m."""
+    building: bool = False
+    """Whether it is a building of many bays with one LiDAR each, and not a hall; people are as many as fit it."""
     people: int = 3
     couples: int = 0
     """Pairs among them, who walk side by side."""

@@ -19,6 +19,7 @@ from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
 from calgraph.simulation.drive_beams import Columns, draw_scanner_errors
 from calgraph.simulation.drive_scenario import DriveSensor
 from calgraph.simulation.hall_beams import simulate_sweeps
+from calgraph.simulation.hall_building import build_building, select_near
 from calgraph.simulation.hall_mounts import HallMount, mount_sensors
 from calgraph.simulation.hall_scenario import HallScenario
 from calgraph.simulation.hall_world import Hall, build_hall
@@ -110,12 +111,16 @@ def simulate_hall(scenario: HallScenario) -> SimulatedHall:
     Raises:
         InputError: there are too many people for the hall, or no place for a sensor.
     """
-    hall = build_hall(scenario)
-    mounts = mount_sensors(scenario, hall, np.random.default_rng((scenario.seed, 10)))
+    if scenario.building:
+        hall, mounts = build_building(scenario)
+    else:
+        hall = build_hall(scenario)
+        mounts = mount_sensors(scenario, hall, np.random.default_rng((scenario.seed, 10)))
     ranges, stamps = {}, {}
     for index, mount in enumerate(mounts):
         rng = np.random.default_rng((scenario.seed, 100 + index))
-        ranges[mount.sensor.name], stamps[mount.sensor.name] = _simulate_sensor(scenario, hall, mount, rng)
+        near = select_near(hall, mount) if scenario.building else hall
+        ranges[mount.sensor.name], stamps[mount.sensor.name] = _simulate_sensor(scenario, near, mount, rng)
     return SimulatedHall(scenario, ranges, stamps, _describe_truth(hall, mounts))
 
 
