@@ -33,9 +33,7 @@ class ScanEquations:
 
     def marginalize_model_error(self, variance: Array) -> "ScanEquations":
         """The equations with a displacement of the pose in each scan, of variances (3,), marginalised."""
-        return ScanEquations(
-            *marginalize_independent_biases(self.information, self.gradient, self.cost, variance)
-        )
+        return ScanEquations(*marginalize_independent_biases(self.information, self.gradient, self.cost, variance))
 
 
 @dataclass(frozen=True, eq=False)
