@@ -186,6 +186,10 @@ def merge_by_arrival(sources: Iterable[tuple[float, Iterable[_Entry]]]) -> Itera
     Thus the first chunks of many split files are not all in memory together.
     """
 
+    sources = list(sources)
+    if len(sources) == 1:
+        return iter(sources[0][1])
+
     def lazily(start: float, records: Iterable[_Entry]) -> Iterator[tuple[float, _Entry | None]]:
         yield start, None
         for record in records:
