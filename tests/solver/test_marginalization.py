@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.solver.marginalization import compute_bias_covariance, marginalize_bias
+from calgraph.solver.marginalization import (
+    compute_bias_covariance,
+    marginalize_bias,
+    marginalize_independent_biases,
+)
 
 
 def equations(rng: np.random.Generator, q: int) -> tuple[Array, Array, Array]:
@@ -27,6 +31,13 @@ def test_marginalised_equations_are_the_schur_complement(q: int, n: int, rng: np
         bias = -np.linalg.solve(inner, b[v, :n])
         least = cost[v] + b[v, :n] @ bias + 0.5 * bias @ inner @ bias
         assert found_cost[v] == pytest.approx(least)
+
+
+def test_independent_biases_are_marginalised_one_after_the_other(rng: np.random.Generator) -> None:
+    given, variances = equations(rng, 5), np.array([0.3, 0.0, 2.0])
+    expected = marginalize_bias(*given, np.diag(variances))
+    for found, of_all in zip(marginalize_independent_biases(*given, variances), expected, strict=True):
+        np.testing.assert_allclose(found, of_all, rtol=1e-9, atol=1e-9)
 
 
 def test_a_direction_without_bias_keeps_its_information(rng: np.random.Generator) -> None:

@@ -173,11 +173,14 @@ class BagRecording(ClosedOnExit):
         if not connections:
             return
         path = Path(str(reader.path))
+        kinds: dict[int, MessageType] = {}
         with wrap_errors(path, _ADVICE[path.suffix].format(name=path.name)):
             for connection, arrival, raw in reader.messages(connections, start_ns, stop_ns):
                 if connection.topic not in topics:
                     continue  # a damaged index names a message of another connection
-                kind = self._type(connection)
+                kind = kinds.get(connection.id)
+                if kind is None:
+                    kind = kinds[connection.id] = self._type(connection)
                 data = decompress_message(raw, self._limits)
                 yield kind, RawMessage(connection.topic, kind.definition, arrival, data)
 

@@ -185,13 +185,16 @@ def merge_by_arrival(sources: Iterable[tuple[float, Iterable[_Entry]]]) -> Itera
 
     Thus the first chunks of many split files are not all in memory together.
     """
+    streams = list(sources)
+    if len(streams) == 1:
+        return iter(streams[0][1])
 
     def lazily(start: float, records: Iterable[_Entry]) -> Iterator[tuple[float, _Entry | None]]:
         yield start, None
         for record in records:
             yield record.arrival, record
 
-    merged = heapq.merge(*(lazily(start, records) for start, records in sources), key=lambda entry: entry[0])
+    merged = heapq.merge(*(lazily(start, records) for start, records in streams), key=lambda entry: entry[0])
     return (record for _, record in merged if record is not None)
 
 

@@ -201,10 +201,20 @@ def _scanner_coverage(
 
 def _count_views(views: Sequence[Array], x_edges: Array, y_edges: Array) -> Array:
     """(R, C) number of views (N, 2) with a point in each cell; edges may descend."""
-    x_sign, y_sign = (np.sign(edges[-1] - edges[0]) for edges in (x_edges, y_edges))
-    edges = y_sign * y_edges, x_sign * x_edges
-    hit = [np.histogram2d(y_sign * view[:, 1], x_sign * view[:, 0], edges)[0] > 0 for view in views]
-    return np.asarray(np.sum(hit, axis=0, dtype=np.float64))
+    points = np.concatenate(views)
+    x, y = (_find_bins(along, edges) for along, edges in zip(points.T, (x_edges, y_edges), strict=True))
+    view = np.repeat(np.arange(len(views)), [len(one) for one in views])
+    inside = (x >= 0) & (x < len(x_edges) - 1) & (y >= 0) & (y < len(y_edges) - 1)
+    hit = np.zeros((len(views), len(y_edges) - 1, len(x_edges) - 1), dtype=np.bool_)
+    hit[view[inside], y[inside], x[inside]] = True
+    return np.asarray(hit.sum(axis=0), dtype=np.float64)
+
+
+def _find_bins(values: Array, edges: Array) -> NDArray[np.intp]:
+    """The bin of each value, of which the last one has both edges; -1, or one too many, where it is outside."""
+    sign = np.sign(edges[-1] - edges[0])
+    bins = np.searchsorted(sign * edges, sign * values, side="right") - 1
+    return np.asarray(bins - (values == edges[-1]))
 
 
 def _azimuths(points: Array) -> Array:

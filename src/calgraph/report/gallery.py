@@ -122,11 +122,11 @@ def _spherical_angles(points: Array) -> Array:
 
 def _draw_points(canvas: _Canvas, at: Array, color: int, radius: int) -> None:
     """Draws squares of 2 radius + 1 pixels around points (N, 2), clipped to the canvas."""
-    for dx in range(-radius, radius + 1):
-        for dy in range(-radius, radius + 1):
-            column, row = np.floor(at[:, 0]).astype(np.intp) + dx, np.floor(at[:, 1]).astype(np.intp) + dy
-            inside = (column >= 0) & (column < canvas.shape[1]) & (row >= 0) & (row < canvas.shape[0])
-            canvas[row[inside], column[inside]] = color
+    reach = np.arange(-radius, radius + 1)
+    column, row = np.floor(at).astype(np.intp).T[..., None] + reach
+    column, row = np.broadcast_arrays(column[:, None], row[..., None])
+    inside = (column >= 0) & (column < canvas.shape[1]) & (row >= 0) & (row < canvas.shape[0])
+    canvas[row[inside], column[inside]] = color
 
 
 def _encode_png(canvas: _Canvas) -> bytes:

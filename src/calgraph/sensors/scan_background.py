@@ -50,6 +50,9 @@ def align_ranges(angles: Array, beam_angles: Array, ranges: Array) -> Array:
         (S, B): NaN where no beam has a finite value; of several such beams the last one.
     """
     ranges = np.where(np.isfinite(ranges), ranges, np.nan)
+    # Nearly all scans of a scanner have the same beams.
+    if np.array_equal(angles, beam_angles):
+        return ranges
     nearest = find_nearest_beams(angles, beam_angles)
     if np.array_equal(nearest, np.arange(len(angles))):
         return ranges
@@ -61,7 +64,6 @@ def align_ranges(angles: Array, beam_angles: Array, ranges: Array) -> Array:
 
 def find_nearest_beams(angles: Array, wanted: Array) -> NDArray[np.intp]:
     """Index of the nearest of the ascending ``angles`` (B,) for each wanted angle (N,)."""
-    # Nearly all scans of a scanner have the same beams.
     if np.array_equal(angles, wanted):
         return np.arange(len(angles))
     right = np.clip(np.searchsorted(angles, wanted), 1, max(len(angles) - 1, 1))

@@ -32,10 +32,25 @@ def marginalize_bias(information: Array, gradient: Array, cost: Array, prior: Ar
     P = compute_bias_covariance(to_bias[:, :n], prior)
     shift = (P @ b_bias[..., None])[..., 0]
     return (
-        A - to_bias @ P @ se_n.transpose(to_bias),
+        A - to_bias @ (P @ A[:, :n]),  # A is symmetric: its rows are faster than a transposed to_bias
         b - (to_bias @ shift[..., None])[..., 0],
         cost - 0.5 * np.sum(b_bias * shift, axis=-1),
     )
+
+
+def marginalize_independent_biases(
+    information: Array, gradient: Array, cost: Array, variances: Array
+) -> tuple[Array, Array, Array]:
+    """:func:`marginalize_bias` with independent biases of these variances (n,), one after the other: faster."""
+    # Views along the last axis: loops over the short axes take several times as long.
+    A, b, cost = np.moveaxis(information, 0, -1).copy("C"), gradient.T.copy("C"), cost.copy()
+    for i, variance in enumerate(variances):
+        b_bias, weight = b[i].copy(), variance / (1 + variance * A[i, i])
+        gain = weight * A[i]
+        A -= gain[:, None] * A[i]
+        b -= gain * b_bias
+        cost -= 0.5 * weight * b_bias**2
+    return np.moveaxis(A, -1, 0).copy("C"), b.T.copy("C"), cost
 
 
 def compute_bias_covariance(information: Array, prior: Array) -> Array:

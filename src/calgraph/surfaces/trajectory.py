@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from calgraph.geometry import Array, Index, se_n, so3
+
+if TYPE_CHECKING:
+    # Takes as long to import as all of NumPy, and reports of all kinds import this module.
+    from scipy.interpolate import CubicSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +83,9 @@ class SplineTrajectory:
         return self.start + (len(self.control) - 3) * self.spacing
 
     @cached_property
-    def _rotations(self) -> RotationSpline | CubicSpline:
+    def _rotations(self) -> "RotationSpline | CubicSpline":
+        from scipy.interpolate import CubicSpline
+
         R = se_n.rotation(self.reference.poses)
         if R.shape[-1] == 2:
             return CubicSpline(self.reference.times, np.unwrap(se_n.log(R)[:, 0]))
@@ -88,9 +94,9 @@ class SplineTrajectory:
     def _reference_at(self, times: Array) -> tuple[Array, Array]:
         """Rotations (N, n, n) and turn rates (N, d) in the moving frame, rad/s."""
         spline = self._rotations
-        if isinstance(spline, CubicSpline):
-            return se_n.exp(spline(times)[:, None]), np.asarray(spline(times, 1)[:, None])
-        return np.asarray(spline(times).as_matrix()), np.asarray(spline(times, 1))
+        if isinstance(spline, RotationSpline):
+            return np.asarray(spline(times).as_matrix()), np.asarray(spline(times, 1))
+        return se_n.exp(spline(times)[:, None]), np.asarray(spline(times, 1)[:, None])
 
     def at(self, times: Array) -> SplinePoses:
         """Poses and derivatives at times (N,) between start and end."""
@@ -135,6 +141,8 @@ def evaluate_basis(x: Array, count: int) -> tuple[Index, Array, Array]:
 
 def fit_spline(track: Track, start: float, end: float, spacing: float) -> SplineTrajectory:
     """The spline with knots at a spacing, s, that follows a track from start to end."""
+    from scipy.interpolate import CubicSpline
+
     intervals = max(int(np.ceil((end - start) / spacing)), 1)
     times = start + spacing * np.arange(intervals + 1, dtype=np.float64)
     # The reference has the knots of the corrections, which could not follow noise between them.
@@ -147,7 +155,7 @@ def fit_spline(track: Track, start: float, end: float, spacing: float) -> Spline
     return SplineTrajectory(start, spacing, control, sampled)
 
 
-def _control_points(spline: CubicSpline) -> Array:
+def _control_points(spline: "CubicSpline") -> Array:
     """Control points (K + 2, n) of a cubic spline with K uniform breakpoints, by its values and derivatives.
 
     On a uniform knot sequence ``c = p - h² p'' / 6`` at each knot, from ``p = (c₋ + 4 c + c₊)/6`` and

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from calgraph.geometry import Array, Index
-from calgraph.solver.marginalization import marginalize_bias
+from calgraph.solver.marginalization import marginalize_independent_biases
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class ScanEquations:
 
     def marginalize_model_error(self, variance: Array) -> "ScanEquations":
         """The equations with a displacement of the pose in each scan, of variances (3,), marginalised."""
-        return ScanEquations(*marginalize_bias(self.information, self.gradient, self.cost, np.diag(variance)))
+        return ScanEquations(*marginalize_independent_biases(self.information, self.gradient, self.cost, variance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +79,11 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
     """
     rows = np.concatenate([jacobian, residual[None]])
     weighted = weight * rows
+    total = np.empty((len(rows), len(rows), len(first_beam)))
     # One row at a time over all beams: scans have few beams, and there are many scans.
-    products = [np.add.reduceat(weighted[i] * rows[i:], first_beam, axis=1) for i in range(len(rows))]
-    total = np.empty((len(first_beam), len(rows), len(rows)))
-    upper = np.triu_indices(len(rows))
-    total[:, *upper] = total[:, *upper[::-1]] = np.concatenate(products).T
+    for i, row in enumerate(weighted):
+        total[i, i:] = total[i:, i] = np.add.reduceat(row * rows[i:], first_beam, axis=1)
+    total = np.moveaxis(total, -1, 0)
     return ScanEquations(total[:, :-1, :-1], total[:, :-1, -1], 0.5 * total[:, -1, -1])
 
 

@@ -84,7 +84,7 @@ def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: 
         Gaussian(active.state.mean[:, None], active.state.covariance[:, None]), centroids[None], R
     )
     # The likelihood's determinant keeps a vague prediction from taking the object of a sharp one.
-    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), GATED_COST)
+    cost = np.where(squared <= GATE, squared + np.log(determinant / (R[0, 0] * R[1, 1])), GATED_COST)
     rows, columns = linear_sum_assignment(cost)
     matched = cost[rows, columns] < GATED_COST
     rows, columns = rows[matched], columns[matched]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, People
-from calgraph.geometry import Array, ellipse
+from calgraph.geometry import Array
 from calgraph.network.tracking.clusters import Clusters
 
 # Mean of a visible half before the centre, in radii: of a start value.
@@ -88,30 +88,43 @@ def fit_ellipses(
         prior: of the orientation; also its start value.
         sigma: noise of a point, m.
     """
-    fixed_radii = np.broadcast_to(radii, (len(groups.points), 2))
-    shape = np.concatenate([_initial_centers(groups, radii, prior), prior.angle[:, None], fixed_radii], axis=-1)
-    phases = _initial_phases(shape, groups.points)
-    weights = groups.used.astype(float)
-    for _ in range(_MAX_STEPS):
-        residual, J, tangents, off = _linearize(shape, phases, groups.points)
-        weights = groups.used / np.maximum(1.0, np.abs(residual) / (_HUBER_SIGMAS * sigma))
-        H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
-        step = np.asarray(np.linalg.solve(H, g[..., None])[..., 0])
+    # Coordinates, then points, then objects, over which NumPy's loops are to run: they are the most by far.
+    pose = np.stack([*_initial_centers(groups, radii, prior).T, prior.angle])
+    points, used = groups.points.T.copy(), groups.used.T.copy()
+    bearing = np.arctan2(points[1], points[0])
+    start = _turn(-pose[2], points - pose[:2, None])
+    phases = np.arctan2(start[1] / radii[1], start[0] / radii[0])
+    weights = used.astype(np.float64)
+
+    def linearize() -> tuple[Array, Array, Array, Array, Array]:
+        outline = np.stack([radii[0] * np.cos(phases), radii[1] * np.sin(phases)])
+        return outline, *_linearize(pose, outline, points, radii)
+
+    def take_step() -> float:
+        """The largest change of a pose."""
+        outline, residual, J, tangents, off = linearize()
+        np.divide(used, np.maximum(1.0, np.abs(residual) / (_HUBER_SIGMAS * sigma)), out=weights)
+        H, g = _normal_equations(groups, bearing, pose, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
+        step = np.linalg.solve(H, g.T[..., None])[..., 0].T
         # A short arc barely constrains the orientation: a full step from a poor start may flip it.
-        step[:, 2] = np.clip(step[:, 2], -_MAX_TURN, _MAX_TURN)
-        step[:, :2] /= np.maximum(1.0, np.linalg.norm(step[:, :2], axis=-1, keepdims=True) / max(radii))
-        shape[:, :3] += step
-        moved = off - _point_displacements(shape, phases, step)
-        along = (moved * tangents).sum(axis=-1) / np.maximum((tangents**2).sum(axis=-1), 1e-12)
-        phases = phases + np.clip(along, -0.5, 0.5)
-        if np.abs(step).max(initial=0.0) < _CONVERGED:
+        step[2] = np.clip(step[2], -_MAX_TURN, _MAX_TURN)
+        step[:2] /= np.maximum(1.0, np.hypot(*step[:2]) / max(radii))
+        np.add(pose, step, out=pose)
+        arm = _turn(pose[2], outline)
+        moved = off - step[:2, None] - step[2] * np.stack([-arm[1], arm[0]])
+        along = _dot(moved, tangents) / np.maximum(_dot(tangents, tangents), 1e-12)
+        np.add(phases, np.clip(along, -0.5, 0.5), out=phases)
+        return float(np.abs(step).max(initial=0.0))
+
+    for _ in range(_MAX_STEPS):
+        if take_step() < _CONVERGED:
             break
-    residual, J, _, _ = _linearize(shape, phases, groups.points)
-    H, _ = _normal_equations(groups, shape, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
+    _, residual, J, _, _ = linearize()
+    H, _ = _normal_equations(groups, bearing, pose, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
     freedom = np.maximum(groups.used.sum(axis=1) - 2, 1)
-    reduced_chi2 = (weights * residual**2).sum(axis=1) / (sigma**2 * freedom)
+    reduced_chi2 = (weights * residual**2).sum(axis=0) / (sigma**2 * freedom)
     covariance = np.linalg.inv(H)[:, :2, :2] * np.maximum(reduced_chi2, 1.0)[:, None, None]
-    centers, covariances = _discard_implausible(groups, shape[:, :2], covariance, max(radii))
+    centers, covariances = _discard_implausible(groups, pose[:2].T, covariance, max(radii))
     return EllipseFits(centers, covariances, reduced_chi2)
 
 
@@ -125,38 +138,37 @@ def _initial_centers(groups: PointGroups, radii: tuple[float, float], prior: Ori
     return np.asarray(means + _MEAN_DEPTH * depth[:, None] * sight)
 
 
-def _initial_phases(shape: Array, points: Array) -> Array:
-    """Start values (C, N) of the points' phases, rad: their directions after scaling the ellipse to a circle."""
-    off = points - shape[:, None, :2]
-    c, s = np.cos(shape[:, 2:3]), np.sin(shape[:, 2:3])
-    along, across = c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]
-    return np.asarray(np.arctan2(across / shape[:, 4:5], along / shape[:, 3:4]))
+def _turn(angle: Array, vectors: Array) -> Array:
+    """Vectors (2, N, C) turned by angles (C,), rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * vectors[0] - s * vectors[1], s * vectors[0] + c * vectors[1]])
 
 
-def _linearize(shape: Array, phases: Array, points: Array) -> tuple[Array, Array, Array, Array]:
-    """Residuals (C, N) along the normals, their rows (C, N, 3) of J, tangents and offsets (C, N, 2)."""
-    on = ellipse.points(shape, phases)
-    c, s = np.cos(shape[:, 2:3]), np.sin(shape[:, 2:3])
-    along, across = -shape[:, 3:4] * np.sin(phases), shape[:, 4:5] * np.cos(phases)
-    tangents = np.stack([c * along - s * across, s * along + c * across], axis=-1)
-    length = np.maximum(np.linalg.norm(tangents, axis=-1, keepdims=True), 1e-12)
-    normals = np.stack([tangents[..., 1], -tangents[..., 0]], axis=-1) / length
-    arm = on - shape[:, None, :2]
-    turning = -arm[..., 1] * normals[..., 0] + arm[..., 0] * normals[..., 1]
-    off = points - on
-    J = np.concatenate([normals, turning[..., None]], axis=-1)
-    return (normals * off).sum(axis=-1), J, tangents, off
+def _dot(a: Array, b: Array) -> Array:
+    """Scalar products (...) of vectors (2, ...)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1])
 
 
-def _point_displacements(shape: Array, phases: Array, step: Array) -> Array:
-    """Displacements (C, N, 2) of points at fixed phases for a step (C, 3) of centre and orientation."""
-    arm = ellipse.points(shape, phases) - shape[:, None, :2]
-    return step[:, None, :2] + step[:, 2, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+def _linearize(
+    pose: Array, outline: Array, points: Array, radii: tuple[float, float]
+) -> tuple[Array, Array, Array, Array]:
+    """Residuals (N, C) along the normals, their rows (3, N, C) of J, tangents and offsets (2, N, C).
+
+    ``outline`` are the points (2, N, C) of the ellipses along their own axes.
+    """
+    arm = _turn(pose[2], outline)
+    ratio = radii[1] / radii[0]
+    tangents = _turn(pose[2], np.stack([-outline[1] / ratio, outline[0] * ratio]))
+    normals = np.stack([tangents[1], -tangents[0]]) / np.maximum(np.sqrt(_dot(tangents, tangents)), 1e-12)
+    turning = arm[0] * normals[1] - arm[1] * normals[0]
+    off = points - arm - pose[:2, None]
+    return _dot(normals, off), np.stack([*normals, turning]), tangents, off
 
 
 def _normal_equations(
     groups: PointGroups,
-    shape: Array,
+    bearing: Array,
+    pose: Array,
     prior: OrientationPrior,
     residual: Array,
     J: Array,
@@ -164,30 +176,34 @@ def _normal_equations(
     sigma: float,
     min_edge_sigma: float,
 ) -> tuple[Array, Array]:
-    """Information (C, 3, 3) and gradient (C, 3) of all terms, for a step of centre and orientation."""
-    weighted = (weights / sigma**2)[..., None] * J
-    H = np.swapaxes(weighted, -1, -2) @ J
-    g = (weighted * residual[..., None]).sum(axis=1)
-    off, across, information = _symmetry_residual(groups, shape, min_edge_sigma)
-    H[:, :2, :2] += information[:, None, None] * across[:, :, None] * across[:, None, :]
-    g[:, :2] += (information * off)[:, None] * across
+    """Information (C, 3, 3) and gradient (3, C) of all terms, for a step of centre and orientation."""
+    weighted = weights / sigma**2 * J
+    H = np.empty((pose.shape[1], 3, 3))
+    for i in range(3):
+        H[:, i, i:] = H[:, i:, i] = (weighted[i] * J[i:]).sum(axis=1).T
+    g = (weighted * residual).sum(axis=1)
+    off, across, information = _symmetry_residual(groups, bearing, pose, min_edge_sigma)
+    H[:, :2, :2] += (information * across[:, None] * across).transpose(2, 0, 1)
+    g[:2] += information * off * across
     prior_information = 1 / prior.sigma**2
     # An ellipse has period π in its orientation.
-    turn = (prior.angle - shape[:, 2] + np.pi / 2) % np.pi - np.pi / 2
+    turn = (prior.angle - pose[2] + np.pi / 2) % np.pi - np.pi / 2
     H[:, 2, 2] += prior_information
-    g[:, 2] += prior_information * turn
+    g[2] += prior_information * turn
     return H + _REGULARIZATION * np.eye(3), g
 
 
-def _symmetry_residual(groups: PointGroups, shape: Array, min_sigma: float) -> tuple[Array, Array, Array]:
-    """Lateral offset (C,) of the outline's middle from the centre, m; its direction (C, 2); its information."""
-    bearing = np.arctan2(groups.points[..., 1], groups.points[..., 0])
-    ahead = np.arctan2(shape[:, 1], shape[:, 0])
-    turned = (bearing - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi
-    left = np.where(groups.used, turned, -np.inf).max(axis=1)
-    right = np.where(groups.used, turned, np.inf).min(axis=1)
-    distance = np.linalg.norm(shape[:, :2], axis=-1)
-    across = np.stack([-np.sin(ahead), np.cos(ahead)], axis=-1)
+def _symmetry_residual(
+    groups: PointGroups, bearing: Array, pose: Array, min_sigma: float
+) -> tuple[Array, Array, Array]:
+    """Lateral offset (C,) of the outline's middle from the centre, m; its direction (2, C); its information."""
+    ahead = np.arctan2(pose[1], pose[0])
+    turned = bearing - ahead
+    turned -= 2 * np.pi * np.rint(turned / (2 * np.pi))
+    left = np.where(groups.used.T, turned, -np.inf).max(axis=0)
+    right = np.where(groups.used.T, turned, np.inf).min(axis=0)
+    distance = np.hypot(pose[0], pose[1])
+    across = np.stack([-np.sin(ahead), np.cos(ahead)])
     # Each edge is uniform within one beam spacing: the variance of the mean of both is 1/24 of its square.
     sigma = np.maximum(distance * groups.spacing / np.sqrt(24), min_sigma)
     return distance * (left + right) / 2, across, np.where(groups.clipped, 0.0, 1 / sigma**2)

@@ -82,8 +82,9 @@ def mahalanobis_distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Ar
     """Squared Mahalanobis distances (...,) of centres from predictions, and determinants (...,) of their S."""
     S = state.covariance[..., :2, :2] + R
     off = z - state.mean[..., :2]
-    squared = np.einsum("...i,...ij,...j->...", off, invert_2x2(S), off)
-    return squared, np.asarray(S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0])
+    x, y, a, b, d = off[..., 0], off[..., 1], S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
+    determinant = a * d - b * b
+    return (d * x * x - 2 * b * x * y + a * y * y) / determinant, determinant
 
 
 def smooth_tracks(

@@ -433,7 +433,8 @@ def _drop_repeated_points(cloud: PointCloud) -> PointCloud:
     They are the same measurement: counted twice, they would decrease the standard deviations.
     """
     sums = cloud.points @ _IRRATIONAL
-    if len(np.unique(sums)) == len(sums):
+    ordered = np.sort(sums)  # np.unique takes several times as long
+    if np.all(ordered[1:] != ordered[:-1]):
         return cloud
     kept = np.sort(np.unique(sums, return_index=True)[1])
     rings = None if cloud.rings is None else cloud.rings[kept]
