@@ -22,7 +22,7 @@ def _make_detector(inputs: DetectorInputs) -> Detector:
     assert isinstance(spec, CameraSpec)
     assert inputs.camera is not None
     return CameraDetector(
-        rig.boards, inputs.camera, spec.noise, rig.settings.detection.camera, inputs.plane_estimator
+        rig.boards, inputs.camera, spec.noise, rig.settings.detection.camera, inputs.plane_estimator, inputs.marks
     ).find
 
 
