@@ -69,9 +69,8 @@ def estimate_unknown_intrinsics(
     found = _find_marks(
         rig, unknown, recording, timeline, holds, engine, lambda done: progress("intrinsics", done), cache
     )
-    work = [
-        (rig, name, _list_views(rig, name, found[name]), spec.lens_to_estimate) for name, spec in unknown.items()
-    ]
+    views = {name: _combine_views(rig, name, of_camera) for name, of_camera in found.items()}
+    work = [(rig, name, _list_views(views[name]), spec.lens_to_estimate) for name, spec in unknown.items()]
     estimates = dict(zip(unknown, engine.map(estimate_intrinsics, work), strict=True))
     for name, estimate in estimates.items():
         _log.info("%s: %s", name, estimate.reason if isinstance(estimate, Rejected) else _describe(estimate))
@@ -185,16 +184,17 @@ def _calibrate_camera(
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
     timeline = build_timeline(recording.records([spec.topic]), recording.start, {name: spec.topic}, None)
     frames = _spread_frames(name, timeline, _MAX_IMAGES)
-    by_frame = _find_marks(
+    marks = _find_marks(
         rig, {name: spec}, recording, timeline, frames, engine, lambda done: progress(0.5 * done), cache
     )[name]
-    estimate = estimate_intrinsics(rig, name, _list_views(rig, name, by_frame), spec.lens_to_estimate)
+    by_frame = _combine_views(rig, name, marks)
+    estimate = estimate_intrinsics(rig, name, _list_views(by_frame), spec.lens_to_estimate)
     if isinstance(estimate, Rejected) or not any(board.tags for board in rig.boards):
         return estimate
-    camera, marks = estimate.camera, _list_marks(by_frame)
+    camera = estimate.camera
     captures = search_holds(
         detect_in_hold,
-        {name: CameraDetector(rig.boards, camera, spec.noise, settings, found=marks).find},
+        {name: CameraDetector(rig.boards, camera, spec.noise, settings, found=_list_marks(marks)).find},
         select_messages(rig, recording, timeline, engine) or recording.records([spec.topic]),
         [frame for frame in frames if frame.index in by_frame],
         {name: spec.topic},
@@ -219,10 +219,15 @@ def _spread_frames(name: str, timeline: RecordingTimeline, count: int) -> list[H
     return [Hold(i, stamp, stamp, {name: np.array([stamp])}) for i, stamp in enumerate(stamps.tolist())]
 
 
-def _list_views(rig: Rig, name: str, by_capture: Mapping[int, Sequence[ImageMarks]]) -> list[BoardView]:
-    """The views of the boards in all captures of one camera."""
+def _combine_views(rig: Rig, name: str, marks: Mapping[int, Sequence[ImageMarks]]) -> dict[int, list[BoardView]]:
+    """The views of boards by capture of one camera, of those that have some."""
     finder = BoardViewFinder(rig.boards, rig.cameras()[name].noise, rig.settings.detection.camera)
-    return [view for found in by_capture.values() for view in finder.combine(found)]
+    views = {capture: finder.combine(found) for capture, found in marks.items()}
+    return {capture: of_capture for capture, of_capture in views.items() if of_capture}
+
+
+def _list_views(by_capture: Mapping[int, Sequence[BoardView]]) -> list[BoardView]:
+    return [view for views in by_capture.values() for view in views]
 
 
 def _list_marks(by_capture: Mapping[int, Sequence[ImageMarks]]) -> dict[float, tuple[Marks, ...]]:
