@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calgraph.boards.tags import Marks
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError
 from calgraph.io.records import decode_records, encode_records
@@ -20,7 +21,7 @@ from calgraph.recording import Recording, RecordingCache, open_recording
 from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures import hold_messages
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.detection.board_views import BoardViewFinder, ImageMarks
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,
@@ -49,8 +50,9 @@ LASERS = {"laser_front", "laser_left"}
 ALL = {"camera", "lidar"} | LASERS
 
 RNG = np.random.default_rng(0)
-VIEW = BoardView(np.array([3, 5]), RNG.random((2, 4, 3)), RNG.random((2, 4, 2)), (640, 480), 1)
-OTHER_VIEW = BoardView(np.arange(3), RNG.random((3, 1, 3)), RNG.random((3, 1, 2)), (640, 480))
+TAGS = Marks(np.array([3, 5]), RNG.random((2, 4, 2)))
+IMAGE = ImageMarks(1.5, (640, 480), (TAGS,))
+OTHER_IMAGE = ImageMarks(2.5, (640, 480), (TAGS, Marks(np.arange(3), RNG.random((3, 1, 2)), legacy=True)))
 
 
 @pytest.fixture(scope="module")
@@ -290,13 +292,13 @@ def test_boards_in_the_images_of_a_camera_without_intrinsics_are_searched_once(
     plain["sensors"]["camera"] |= {"camera_info": None, "intrinsics": "estimate"}
     rig = Rig.model_validate(plain)
     searched: list[int] = []
-    original = BoardViewFinder.find
+    original = BoardViewFinder.search
 
-    def find(finder: BoardViewFinder, images: Any, **options: Any) -> Any:
+    def search(finder: BoardViewFinder, images: Any) -> Any:
         searched.append(len(images))
-        return original(finder, images, **options)
+        return original(finder, images)
 
-    monkeypatch.setattr(BoardViewFinder, "find", find)
+    monkeypatch.setattr(BoardViewFinder, "search", search)
     without = collect(folder, rig, None)
     searched.clear()
     first = collect(folder, rig, tmp_path)
@@ -307,6 +309,6 @@ def test_boards_in_the_images_of_a_camera_without_intrinsics_are_searched_once(
     assert content(first[:2]) == content(without[:2]) == content(second[:2])
 
 
-@pytest.mark.parametrize("views", [{}, {3: (VIEW,), 7: (VIEW, OTHER_VIEW)}], ids=["none", "several"])
-def test_views_of_boards_are_decoded_as_they_were(views: dict[int, tuple[BoardView, ...]]) -> None:
-    assert content(decode_records(*encode_records(views), (BoardView,))) == content(views)
+@pytest.mark.parametrize("marks", [{}, {3: (IMAGE,), 7: (IMAGE, OTHER_IMAGE)}], ids=["none", "several"])
+def test_marks_in_images_are_decoded_as_they_were(marks: dict[int, tuple[ImageMarks, ...]]) -> None:
+    assert content(decode_records(*encode_records(marks), (ImageMarks, Marks))) == content(marks)

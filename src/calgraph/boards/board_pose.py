@@ -85,9 +85,9 @@ def fit_pose(
         camera: the intrinsics.
         sigma: standard deviation of a corner in x and in y, pixels.
     """
-    has_ray = np.isfinite(camera.rays(pixels.reshape(-1, 2)))
-    in_view = np.asarray(has_ray.reshape(len(pixels), -1).all(axis=1))
-    consistent = _select_consistent_marks(ids, corners, pixels, in_view, camera, sigma)
+    rays = camera.rays(pixels.reshape(-1, 2)).reshape(*pixels.shape[:2], 3)
+    in_view = np.asarray(np.isfinite(rays).all(axis=(1, 2)))
+    consistent = _select_consistent_marks(ids, corners, pixels, rays, in_view, camera, sigma)
     if isinstance(consistent, Rejected):
         return consistent
     marks, minima, corners = consistent
@@ -105,7 +105,7 @@ def fit_pose(
         if (new_inliers == inliers).all():
             break
         inliers = new_inliers
-        minima = _find_minima(corners[inliers], pixels[inliers], camera, sigma)
+        minima = _find_minima(corners[inliers], pixels[inliers], rays[inliers], camera, sigma)
     if not minima:
         return Rejected("the corners detected contradict each other")
     best = minima[0]
@@ -148,6 +148,7 @@ def _select_consistent_marks(
     ids: NDArray[np.intp],
     corners: Array,
     pixels: Array,
+    rays: Array,
     in_view: NDArray[np.bool_],
     camera: CameraModel,
     sigma: float,
@@ -157,7 +158,7 @@ def _select_consistent_marks(
     Corners (M, k, 3) are the stated ones, unless all marks agree on another size.
     """
     unique = len(np.unique(ids[in_view])) == in_view.sum()
-    minima = _find_minima(corners[in_view], pixels[in_view], camera, sigma) if unique else []
+    minima = _find_minima(corners[in_view], pixels[in_view], rays[in_view], camera, sigma) if unique else []
     if pixels.shape[1] < 4 or in_view.sum() <= 1:
         return in_view, minima, corners
     limit = OUTLIER_SIGMAS * sigma
@@ -166,7 +167,7 @@ def _select_consistent_marks(
             return in_view, minima, corners
         size = _fit_size(minima[0].T, corners[in_view], pixels[in_view], camera)
         resized = _resize_marks(corners, size)
-        minima = _find_minima(resized[in_view], pixels[in_view], camera, sigma)
+        minima = _find_minima(resized[in_view], pixels[in_view], rays[in_view], camera, sigma)
         if minima and (
             _compute_reprojection_errors(minima[0].T, resized[in_view], pixels[in_view], camera).max() < limit
         ):
@@ -174,9 +175,9 @@ def _select_consistent_marks(
     # A blurred image has noisier corners than stated; the stated noise is tried first.
     gate = float(chdtri(2 * pixels.shape[1], _CONSENSUS_SIGNIFICANCE))
     for scale in (1.0, _BLUR_NOISE_RATIO):
-        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma, gate)
+        consensus = _find_largest_consensus(ids, corners, pixels, rays, in_view, camera, scale * sigma, gate)
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
-            minima = _find_minima(corners[consensus], pixels[consensus], camera, sigma)
+            minima = _find_minima(corners[consensus], pixels[consensus], rays[consensus], camera, sigma)
             return consensus, minima, corners
     tags = tuple(np.unique(ids[in_view]).tolist())
     names = ", ".join(map(str, tags))
@@ -216,6 +217,7 @@ def _find_largest_consensus(
     ids: NDArray[np.intp],
     corners: Array,
     pixels: Array,
+    rays: Array,
     in_view: NDArray[np.bool_],
     camera: CameraModel,
     sigma: float,
@@ -227,7 +229,7 @@ def _find_largest_consensus(
     """
     best, best_score = np.zeros(len(ids), dtype=bool), -np.inf
     for mark in np.flatnonzero(in_view):
-        for fit in _find_minima(corners[mark], pixels[mark], camera, sigma):
+        for fit in _find_minima(corners[mark], pixels[mark], rays[mark], camera, sigma):
             d2 = np.array(
                 [_squared_mahalanobis(fit, c, p, camera, sigma) for c, p in zip(corners, pixels, strict=True)]
             )
@@ -259,10 +261,18 @@ def _squared_mahalanobis(fit: _PoseFit, corners: Array, pixels: Array, camera: C
 _MAX_START_RATIO, _MAX_START_CHI2 = 10.0, 100.0
 
 
-def _find_minima(corners: Array, pixels: Array, camera: CameraModel, sigma: float) -> list[_PoseFit]:
-    """One or two distinct poses with the face visible, for corners (..., 3) at pixels (..., 2); the best first."""
+def _find_minima(corners: Array, pixels: Array, rays: Array, camera: CameraModel, sigma: float) -> list[_PoseFit]:
+    """One or two distinct poses with the face visible, the best first.
+
+    Args:
+        corners: (..., 3) in the board frame, m.
+        pixels: (..., 2) where they were detected,
+        rays: (..., 3) and their directions.
+        camera: the intrinsics.
+        sigma: standard deviation of a corner in x and in y, pixels.
+    """
     corners, pixels = corners.reshape(-1, 3), pixels.reshape(-1, 2)
-    starts = _solve_ippe(corners, camera.rays(pixels))
+    starts = _solve_ippe(corners, rays.reshape(-1, 3))
     errors = [np.sum(_compute_reprojection_errors(T, corners, pixels, camera) ** 2) for T in starts]
     largest = _MAX_START_RATIO * min(errors, default=0.0) + _MAX_START_CHI2 * sigma**2
     fits: list[_PoseFit] = []

@@ -1,8 +1,9 @@
 """Detection of boards in the images of one capture."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ class CameraDetector:
         noise: start value of the corners' noise.
         plane_estimator: estimates the plane of boards with tags in place of one PnP over all corners.
         settings: of the detection.
+        found: by stamp of an image that was searched before, what each finder found in it.
 
     Raises:
         InputError: two boards share a tag id.
@@ -59,14 +61,17 @@ class CameraDetector:
         noise: PixelNoise,
         settings: CameraDetectionSettings,
         plane_estimator: PlaneEstimator | None = None,
+        found: Mapping[float, Sequence[Marks]] = MappingProxyType({}),
     ) -> None:
         self._boards = boards
         self._camera, self._noise, self._plane_estimator, self._settings = camera, noise, plane_estimator, settings
-        self._printed = make_printed_boards(boards, settings)
+        self._printed, self._found = make_printed_boards(boards, settings), found
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The finders of libraries cannot be pickled; another process makes them again.
-        arguments = self._boards, self._camera, self._noise, self._settings, self._plane_estimator
+        arguments = (
+            self._boards, self._camera, self._noise, self._settings, self._plane_estimator, dict(self._found)
+        )  # fmt: skip
         return CameraDetector, arguments
 
     def find(self, messages: Sequence[Image | DetectedCorners]) -> tuple[BoardCorners, ...] | Rejected:
@@ -92,7 +97,11 @@ class CameraDetector:
         reasons: list[str] = []
         inconsistent: list[int] = []
         grays_of = select_grays(self._printed, grays)
-        marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
+        known = [self._found.get(image.stamp) for image in images]
+        marks = {
+            finder: [of[k] if of else finder.find(gray) for gray, of in zip(searched, known, strict=True)]
+            for k, (finder, searched) in enumerate(grays_of.items())
+        }
         for printed in self._printed:
             detection = self._find_board(printed, grays_of[printed.finder], marks[printed.finder])
             if isinstance(detection, BoardCorners):

@@ -10,13 +10,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
+from scipy.spatial import cKDTree
 
 from calgraph.geometry import Array
 
 Gray = NDArray[np.uint8]
 Brightness = NDArray[np.float32]
 Indices = NDArray[np.intp]
+Places = NDArray[np.complex128]
+"""Pixels x + iy: half as many operations as with two numbers each."""
 
 
 class Saddles(NamedTuple):
@@ -99,10 +101,10 @@ def find_lattice(gray: Gray, rows: int, columns: int) -> Lattice | None:
     saddles = _find_saddles(smooth)
     if len(saddles.points) < MIN_SEEN * rows * columns:
         return None
-    tree = KDTree(saddles.points)
+    tree = cKDTree(saddles.points)
     tried = np.zeros(len(saddles.points), dtype=np.bool_)
     # The last place is that of index -1, which cells of a lattice without a saddle have.
-    places = np.append(saddles.points, [[np.nan, np.nan]], axis=0)
+    places = np.append(_to_places(saddles.points), _NOWHERE)
     for cross in _find_crosses(saddles, tree, (rows > 2) + (columns > 2)):
         if not tried[cross[cross >= 0]].any():
             lattice = _grow_lattice(cross, saddles.curvatures, places, tree, max(rows, columns))
@@ -127,7 +129,7 @@ _MAX_CROSS_BEND = 0.5
 _MAX_PRODUCT = -0.5
 
 
-def _find_crosses(saddles: Saddles, tree: KDTree, pairs: int) -> Indices:
+def _find_crosses(saddles: Saddles, tree: cKDTree, pairs: int) -> Indices:
     """Saddles (M, 5) with neighbours along both edges: the middle, one along each, and those opposite of them.
 
     Args:
@@ -182,19 +184,33 @@ _AROUND = np.array([
 ])  # fmt: skip
 """Rows and columns of a place's neighbours: the arms of a cross, those between one arm and the next, and those
 behind the arms."""
+_NEXT_ARM = [1, 2, 3, 0]
 # Maximum distance of a saddle from where its neighbours predict it, in distances to the nearest of them.
 _MAX_OFFSET = 0.35
 # Lines by which a lattice may be longer than the board: what is beside a board adds some saddles.
 _MOST_SURPLUS = 3
 
 
-def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree, longest: int) -> Indices:
+def _to_places(pixels: Array) -> Places:
+    """Places (...) of pixels (..., 2)."""
+    return np.ascontiguousarray(pixels).view(np.complex128)[..., 0]
+
+
+def _to_pixels(places: Places) -> Array:
+    """Pixels (..., 2) of places (...)."""
+    return np.ascontiguousarray(places).view(np.float64).reshape(*places.shape, 2)
+
+
+_NOWHERE = complex(np.nan, np.nan)
+
+
+def _grow_lattice(cross: Indices, curvatures: Array, places: Places, tree: cKDTree, longest: int) -> Indices:
     """Saddles by row and column of the lattice that contains a cross, -1 where there is none.
 
     Args:
         cross: (5) saddles, -1 where there is none.
         curvatures: (N, 3) of all saddles.
-        places: (N + 1, 2) of all saddles, and NaN.
+        places: (N + 1,) of all saddles, and NaN.
         tree: of the places.
         longest: number of corners in the longer line of the board.
     """
@@ -207,15 +223,18 @@ def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree
     free[cross[cross >= 0]] = False
     while True:
         # Where no neighbour is new, there is no saddle again.
-        cell = np.unique(added[:, None] + around)
-        cell = cell[lattice[cell] < 0]
+        changed = np.zeros(len(lattice), dtype=np.bool_)
+        changed[added[:, None] + around] = True
+        cell = np.flatnonzero(changed & (lattice < 0))
         beside = lattice[cell[:, None] + around]
-        expected = _predict_places(places[beside])
-        known = np.isfinite(expected[:, 0])
+        of_beside = places[beside]
+        expected = _predict_places(of_beside)
+        known = ~np.isnan(expected)
         cell, beside, expected = cell[known], beside[known], expected[known]
-        steps = np.linalg.norm(places[beside[:, :4]] - expected[:, None], axis=-1)
-        nearest = np.arange(len(cell)), np.nanargmin(steps, axis=1)
-        distance, saddle = tree.query(expected)
+        steps = np.abs(of_beside[known, :4] - expected[:, None])
+        steps[beside[:, :4] < 0] = np.inf
+        nearest = np.arange(len(cell)), steps.argmin(axis=1)
+        distance, saddle = tree.query(_to_pixels(expected))
         fits = (distance < _MAX_OFFSET * steps[nearest]) & free[saddle]
         fits &= _are_opposite(curvatures[beside[nearest]], curvatures[saddle])
         # A saddle that is expected at two cells is at the first one.
@@ -231,22 +250,25 @@ def _is_too_long(is_saddle: NDArray[np.bool_], longest: int) -> bool:
     return bool(np.ptp(np.nonzero(is_saddle), axis=1).max() >= longest + _MOST_SURPLUS)
 
 
-def _predict_places(around: Array) -> Array:
-    """Where their neighbours (M, 12, 2) put places (M, 2), NaN if they do not.
+def _predict_places(around: Places) -> Places:
+    """Where their neighbours (M, 12) put places (M,), NaN if they do not.
 
     Three neighbours are corners of a parallelogram with it, which perspective bends less than the line of two.
     """
-    arms, between, behind = np.split(around, 3, axis=1)
-    turns, lines = arms + arms[:, [1, 2, 3, 0]] - between, 2 * arms - behind
-    by_turns, by_lines = (_average_known(guesses) for guesses in (turns, lines))
-    return np.where(np.isnan(by_turns), by_lines, by_turns)
+    arms = around[:, :4]
+    turns, lines = arms + arms[:, _NEXT_ARM] - around[:, 4:8], 2 * arms - around[:, 8:]
+    by_turns = _average_known(turns)
+    unknown = np.isnan(by_turns)
+    by_turns[unknown] = _average_known(lines[unknown])
+    return by_turns
 
 
-def _average_known(guesses: Array) -> Array:
-    """Means (M, 2) of those of guesses (M, 4, 2) that are not NaN."""
-    known = np.isfinite(guesses)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.sum(guesses, axis=1, where=known) / known.sum(axis=1))
+def _average_known(guesses: Places) -> Places:
+    """Means (M,) of those of guesses (M, 4) that are not NaN."""
+    known = ~np.isnan(guesses)
+    count = known.sum(axis=1)
+    total = np.sum(guesses, axis=1, where=known)
+    return np.asarray(np.where(count, total / np.maximum(count, 1), _NOWHERE))
 
 
 # Smallest shares of corners with a saddle, as glare hides some, and of those between four squares: boards in glare
@@ -257,18 +279,18 @@ MIN_SEEN, _MIN_SHARE = 0.8, 0.92
 _LINE_SHARE = 0.5
 
 
-def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> Lattice | None:
+def _cut_board(places: Places, smooth: Brightness, rows: int, columns: int) -> Lattice | None:
     """The part (rows, columns) of a lattice that is a checkerboard, none if it is not whole or of a larger one.
 
     At the rim of a board are saddles that continue its lattice, but no corners of four squares.
 
     Args:
-        places: (M, M, 2) of saddles, NaN where there is none.
+        places: (M, M) of saddles, NaN where there is none.
         smooth: image in which they are.
         rows: number of inner corners in a column.
         columns: in a row.
     """
-    is_saddle = np.isfinite(places[..., 0])
+    is_saddle = ~np.isnan(places)
     if is_saddle.sum() < MIN_SEEN * rows * columns or _is_too_long(is_saddle, max(rows, columns)):
         return None
     # Every line of a board has saddles. Of what is beside it, one line matters, and the next one for its squares.
@@ -290,18 +312,18 @@ def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> La
             and _find_weakest_line(seen) > _LINE_SHARE
             and _is_bounded(corners[top - 1 : top + rows + 1, left - 1 : left + columns + 1])
         ):
-            return Lattice(places.transpose((*turn, 2))[down, right], seen)
+            return Lattice(_to_pixels(places.transpose(turn)[down, right]), seen)
     return None
 
 
 def is_whole_board(gray: Gray, places: Array) -> bool:
     """Whether places (rows, columns, 2) in an image are corners of four squares, and those beside are not."""
-    places = _complete(np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan))
+    around = _complete(np.pad(_to_places(places), 2, constant_values=_NOWHERE))
     # Only what is around the board is blurred.
-    low = np.maximum(places.min(axis=(0, 1)) - _BLUR_REACH, 0).astype(int)
-    high = np.maximum(places.max(axis=(0, 1)) + _BLUR_REACH, 0).astype(int)
-    around = gray[low[1] : high[1], low[0] : high[0]]
-    return _is_bounded(_are_between_squares(places - low, _blur(around))[1:-1, 1:-1])
+    left, top = (max(int(side.min() - _BLUR_REACH), 0) for side in (around.real, around.imag))
+    right, bottom = (max(int(side.max() + _BLUR_REACH), 0) for side in (around.real, around.imag))
+    smooth = _blur(gray[top:bottom, left:right])
+    return _is_bounded(_are_between_squares(around - complex(left, top), smooth)[1:-1, 1:-1])
 
 
 def _is_bounded(is_corner: NDArray[np.bool_]) -> bool:
@@ -324,14 +346,15 @@ _WITHIN_SQUARE = (0.2, 0.3, 0.4)
 _MIN_CONTRAST = 0.1
 
 
-def _are_between_squares(places: Array, smooth: Brightness) -> NDArray[np.bool_]:
-    """Which places (rows, columns, 2) are corners of four squares, dark and bright in turn; none at the ends."""
+def _are_between_squares(places: Places, smooth: Brightness) -> NDArray[np.bool_]:
+    """Which places (rows, columns) are corners of four squares, dark and bright in turn; none at the ends."""
     middle = places[1:-1, 1:-1]
     up, down = places[:-2, 1:-1] - middle, places[2:, 1:-1] - middle
     left, right = places[1:-1, :-2] - middle, places[1:-1, 2:] - middle
     diagonals = np.stack([up + left, down + right, up + right, down + left])
     within = middle + np.multiply.outer(_WITHIN_SQUARE, diagonals).swapaxes(0, 1)
-    x, y = np.moveaxis(within.reshape(-1, middle.shape[1], 2), -1, 0).astype(np.float32)
+    within = within.reshape(-1, middle.shape[1])
+    x, y = within.real.astype(np.float32), within.imag.astype(np.float32)
     values = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE).reshape(
         2, -1, *middle.shape[:2]
     )
@@ -343,12 +366,15 @@ def _are_between_squares(places: Array, smooth: Brightness) -> NDArray[np.bool_]
     return np.pad(max(ways, key=np.count_nonzero), 1)
 
 
-def _complete(places: Array) -> Array:
-    """Places (rows, columns, 2) of corners, with those that are NaN predicted by their neighbours."""
-    padded = np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
-    around, flat = _AROUND @ [padded.shape[1], 1], padded.reshape(-1, 2)
-    inner = np.zeros(padded.shape[:2], dtype=np.bool_)
+def _complete(places: Places) -> Places:
+    """Places (rows, columns) of corners, with those that are NaN predicted by their neighbours."""
+    padded = np.pad(places, 2, constant_values=_NOWHERE)
+    around, flat = _AROUND @ [padded.shape[1], 1], padded.ravel()
+    inner = np.zeros(padded.shape, dtype=np.bool_)
     inner[2:-2, 2:-2] = True
-    while len(cell := np.flatnonzero(inner.ravel() & np.isnan(flat[:, 0]))):
-        flat[cell] = _predict_places(flat[cell[:, None] + around])
+    cell = np.flatnonzero(inner.ravel() & np.isnan(flat))
+    while len(cell):
+        predicted = _predict_places(flat[cell[:, None] + around])
+        flat[cell] = predicted
+        cell = cell[np.isnan(predicted)]
     return padded[2:-2, 2:-2]

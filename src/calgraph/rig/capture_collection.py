@@ -121,7 +121,7 @@ def _detect_in_timeline(
     )
     cameras = resolved.camera_models() | intrinsics.cameras
     tags = options.select_method(rig.settings.published).tags
-    method = DetectionMethod(cameras, draw_seeds(rig, rng), tags, _select_plane_estimator(tags))
+    method = DetectionMethod(cameras, draw_seeds(rig, rng), intrinsics.marks, tags, _select_plane_estimator(tags))
     observations = detect_by_sensors(
         _without(rig, intrinsics.failed), recording, timeline, holds, method,
         cache=options.cache, engine=options.engine, progress=partial(progress, "detecting"),

@@ -94,7 +94,13 @@ class Bundle:
 
     def extra_indices(self, k: int) -> Index:
         """(e,) indices of the extra parameters of views k."""
-        return np.array([i for i, one in enumerate(self.extra_parameters) if k in one.view_sets], dtype=np.intp)
+        return self._extra_of_views[k]
+
+    @cached_property
+    def _extra_of_views(self) -> tuple[Index, ...]:
+        """(K,) as of :meth:`extra_indices`: a residual distortion has a hundred, and each step asks for all."""
+        sets, count = [set(one.view_sets) for one in self.extra_parameters], len(self.all_views)
+        return tuple(np.flatnonzero([k in of_parameter for of_parameter in sets]) for k in range(count))
 
     def columns(self, k: int) -> Index:
         """(n,) columns of the reduced problem that views k depend on: the pose of a body, and extra parameters."""

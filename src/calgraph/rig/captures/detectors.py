@@ -1,10 +1,12 @@
 """The detector of every sensor of a rig, and the background models of its scanners."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from calgraph.boards.camera import PlaneEstimator
+from calgraph.boards.tags import Marks
 from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import InputError, Rejected
@@ -96,6 +98,7 @@ def make_detectors(
     backgrounds: Mapping[str, Background],
     plane_estimator: PlaneEstimator | None,
     seeds: Mapping[str, int],
+    marks: Mapping[str, Mapping[float, Sequence[Marks]]] = MappingProxyType({}),
 ) -> Mapping[str, Detector]:
     """The detector of each sensor.
 
@@ -105,10 +108,19 @@ def make_detectors(
         backgrounds: by scanner; those without one search by size and shape.
         plane_estimator: estimates the plane of boards with tags in place of one PnP over all corners.
         seeds: of the detectors' samples, by sensor; see :func:`draw_seeds`.
+        marks: by camera and stamp of an image that was searched before, what each finder found in it.
     """
     return {
         name: RIG_KINDS[spec.kind].make_detector(
-            DetectorInputs(rig, name, cameras.get(name), backgrounds.get(name), plane_estimator, seeds[name])
+            DetectorInputs(
+                rig,
+                name,
+                cameras.get(name),
+                backgrounds.get(name),
+                plane_estimator,
+                seeds[name],
+                marks.get(name, {}),
+            )
         )
         for name, spec in rig.sensors.items()
     }

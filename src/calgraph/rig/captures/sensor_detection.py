@@ -2,10 +2,11 @@
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from calgraph.boards.camera import PlaneEstimator
+from calgraph.boards.tags import Marks
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.errors import Rejected
 from calgraph.parallel.engine import THIS_PROCESS, Engine
@@ -43,6 +44,8 @@ class DetectionMethod:
     """Intrinsics by camera."""
     seeds: Mapping[str, int]
     """Of the random samples, by sensor."""
+    marks: Mapping[str, Mapping[float, Sequence[Marks]]] = field(default_factory=dict)
+    """By camera and stamp of an image that was searched before, what each finder found in it."""
     plane: str = "pnp"
     """Name of the estimator of a board's plane from its tags,"""
     plane_estimator: PlaneEstimator | None = None
@@ -112,7 +115,7 @@ def detect_by_sensors(
         entries = {(capture, name): (name, captures) for name, captures in missing for capture in captures}
         searched = search_holds(
             detect_in_hold,
-            make_detectors(part, method.cameras, models, method.plane_estimator, method.seeds),
+            make_detectors(part, method.cameras, models, method.plane_estimator, method.seeds, method.marks),
             select_messages(part, recording, timeline, engine) or recording.records(part.topics.values()),
             holds,
             part.topics,

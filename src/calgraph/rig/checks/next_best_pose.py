@@ -8,7 +8,7 @@ Source: Krause, Singh, Guestrin, "Near-optimal sensor placements in Gaussian pro
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +103,8 @@ def select_board_poses(
     sensors = len(bundle.sensors)
     axes = axis_jacobian(bundle, current).reshape(6 * sensors, -1)
     V, limits = solved.minimized.equations.covariance, np.tile(max_good_stddev(tolerance, settings), sensors)
+    kept = _keep_first(predict(np.arange(len(candidates))))
+    others = np.arange(len(kept), len(candidates))
     suggestions: list[Suggestion] = []
     for _ in range(count):
         before = _standard_deviations(axes, V) / limits
@@ -112,7 +114,7 @@ def select_board_poses(
             break
         scaled = axes[6 * sensor :][:6] / limits[:6, None] / min(before[worst], 1.0)
         pose, along = np.flatnonzero(scaled.any(axis=0)), V @ scaled.T
-        predicted = predict(np.arange(len(candidates)))
+        predicted = chain(kept, predict(others) if len(others) else ())
         volume = _log_volume(
             np.array([scaled[:, pose] @ _multiply_covariance_with(one, V, pose, along) for one in predicted])
         )
@@ -140,6 +142,22 @@ def select_board_poses(
             )
         )
     return tuple(suggestions)
+
+
+# Numbers in the information of candidates that is kept for further poses, 80 MB: of all candidates of most rigs.
+_KEPT_NUMBERS = 10_000_000
+
+
+def _keep_first(predicted: Iterable[BoardInformation]) -> list[BoardInformation]:
+    """The first ones, as many as are kept: to predict them again takes most of the time of a suggestion."""
+    kept: list[BoardInformation] = []
+    room = _KEPT_NUMBERS
+    for one in predicted:
+        room -= one.information.size
+        if room < 0:
+            break
+        kept.append(one)
+    return kept
 
 
 # Numbers in the information of the views of candidates that are predicted together, 80 MB, of which the solver has

@@ -27,6 +27,18 @@ from calgraph.sensors import DetectedCorners, Image, Message
 
 
 @dataclass(frozen=True, eq=False)
+class ImageMarks:
+    """All that was found in one image."""
+
+    stamp: float
+    """Of the image, s."""
+    size: tuple[int, int]
+    """Its width and height, pixels."""
+    marks: tuple[Marks, ...]
+    """Of each finder, in the order of the boards."""
+
+
+@dataclass(frozen=True, eq=False)
 class BoardView:
     """One board in the images of one capture: M marks with k corners each."""
 
@@ -70,15 +82,31 @@ class BoardViewFinder:
     def __init__(self, boards: Sequence[Board], noise: PixelNoise, settings: CameraDetectionSettings) -> None:
         self._boards, self._noise, self._settings = boards, noise, settings
         self._printed = make_printed_boards(boards, settings)
+        self._finders = tuple(dict.fromkeys(one.finder for one in self._printed))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The finders of libraries cannot be pickled; another process makes them again.
         return BoardViewFinder, (self._boards, self._noise, self._settings)
 
-    def find(self, messages: Sequence[Message], *, explain: bool = True) -> tuple[BoardView, ...] | Rejected:
-        """Every board in the images of one capture, in which it rests; corners of several images are averaged.
+    def find(self, messages: Sequence[Message]) -> tuple[BoardView, ...] | Rejected:
+        """Every board in the images of one capture, or why there is none; see :meth:`search`."""
+        found = self.search(messages)
+        if isinstance(found, Rejected):
+            return found
+        boards = [self._combine(printed, found) for printed in self._printed]
+        if views := tuple(one for one in boards if isinstance(one, BoardView)):
+            return views
+        grays = [message.gray for message in messages if isinstance(message, Image)]
+        searched = select_grays(self._printed, grays)
+        reasons = [
+            one.reason or explain_missing(printed, self._marks_of(printed, found[0]), searched[printed.finder][0])
+            for printed, one in zip(self._printed, boards, strict=True)
+            if isinstance(one, Rejected)
+        ]
+        return Rejected("; ".join(reasons) + explain_exposure(grays))
 
-        To ``explain`` why there is none takes as long as the search.
+    def search(self, messages: Sequence[Message]) -> tuple[ImageMarks, ...] | Rejected:
+        """The marks in each image of one capture.
 
         Raises:
             InputError: the messages are corners that another program detected.
@@ -88,31 +116,33 @@ class BoardViewFinder:
                 "sensors: detected corners do not state the size of the images: state the intrinsics of their "
                 "cameras"
             )
-        grays = [message.gray for message in messages if isinstance(message, Image)]
-        if not grays:
+        images = [message for message in messages if isinstance(message, Image)]
+        if not images:
             return Rejected("no image in this capture")
-        if len({gray.shape for gray in grays}) > 1:
+        found = tuple(self._search(image.stamp, image.gray) for image in images)
+        if len({one.size for one in found}) > 1:
             return Rejected("the images of one capture differ in size")
-        grays_of = select_grays(self._printed, grays)
-        marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
-        views, reasons = [], []
-        for printed in self._printed:
-            view = self._find_board(printed, marks[printed.finder], grays_of[printed.finder][0], explain)
-            if isinstance(view, BoardView):
-                views.append(view)
-            else:
-                reasons.append(view.reason)
-        if views:
-            return tuple(views)
-        return Rejected("; ".join(reasons) + explain_exposure(grays) if explain else "no board")
+        return found
 
-    def _find_board(
-        self, printed: PrintedBoard, marks_by_image: Sequence[Marks], gray: Gray, explain: bool
-    ) -> BoardView | Rejected:
-        of_board = [_select_unique(marks, printed) for marks in marks_by_image]
+    def combine(self, found: Sequence[ImageMarks]) -> list[BoardView]:
+        """Every board in the images of one capture, in which it rests; corners of several images are averaged."""
+        boards = [self._combine(printed, found) for printed in self._printed]
+        return [one for one in boards if isinstance(one, BoardView)]
+
+    def _search(self, stamp: float, gray: Gray) -> ImageMarks:
+        height, width = gray.shape
+        searched = select_grays(self._printed, [gray])
+        return ImageMarks(stamp, (width, height), tuple(finder.find(one) for finder, (one,) in searched.items()))
+
+    def _marks_of(self, printed: PrintedBoard, found: ImageMarks) -> Marks:
+        return found.marks[self._finders.index(printed.finder)]
+
+    def _combine(self, printed: PrintedBoard, found: Sequence[ImageMarks]) -> BoardView | Rejected:
+        """The view of one board; without a reason if it has no marks in any image."""
+        of_board = [_select_unique(self._marks_of(printed, image), printed) for image in found]
         detected = [marks for marks in of_board if len(marks)]
         if not detected:
-            return Rejected(explain_missing(printed, marks_by_image[0], gray) if explain else "no board")
+            return Rejected("")
         marks: Marks | Rejected = detected[0]
         if len(detected) > 1:
             noise = max(self._noise.pixel, MIN_MOTION_NOISE)
@@ -120,7 +150,7 @@ class BoardViewFinder:
         if isinstance(marks, Rejected):
             return marks
         corners = printed.landmarks.corners_of(marks.ids)
-        return BoardView(marks.ids, corners, marks.pixels, (gray.shape[1], gray.shape[0]), printed.number)
+        return BoardView(marks.ids, corners, marks.pixels, found[0].size, printed.number)
 
 
 def _select_unique(marks: Marks, printed: PrintedBoard) -> Marks:

@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
+from calgraph.boards.tags import Marks
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.parallel.engine import THIS_PROCESS, Engine
@@ -18,13 +19,13 @@ from calgraph.rig.captures.hold_messages import PreviewSize, search_holds, selec
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_inputs
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, ImageMarks
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel, Message
 
 _log = logging.getLogger(__name__)
 
-_VIEWS = "board views/1"
+_MARKS = "board marks/1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,8 @@ class EstimatedIntrinsics:
     """By camera whose intrinsics the captures determine."""
     failed: Mapping[str, Rejected]
     """By each other camera without intrinsics, why not."""
+    marks: Mapping[str, Mapping[float, tuple[Marks, ...]]]
+    """By camera and stamp of an image, what each finder found in it."""
 
     @property
     def cameras(self) -> dict[str, CameraModel]:
@@ -63,9 +66,10 @@ def estimate_unknown_intrinsics(
         cache: has what earlier runs found in the images of a camera, and gets the others.
     """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
-    views = _find_views(
+    found = _find_marks(
         rig, unknown, recording, timeline, holds, engine, lambda done: progress("intrinsics", done), cache
     )
+    views = {name: _combine_views(rig, name, of_camera) for name, of_camera in found.items()}
     work = [(rig, name, _list_views(views[name]), spec.lens_to_estimate) for name, spec in unknown.items()]
     estimates = dict(zip(unknown, engine.map(estimate_intrinsics, work), strict=True))
     for name, estimate in estimates.items():
@@ -73,10 +77,11 @@ def estimate_unknown_intrinsics(
     return EstimatedIntrinsics(
         {name: one for name, one in estimates.items() if not isinstance(one, Rejected)},
         {name: one for name, one in estimates.items() if isinstance(one, Rejected)},
+        {name: _list_marks(of_camera) for name, of_camera in found.items()},
     )
 
 
-def _find_views(
+def _find_marks(
     rig: Rig,
     cameras: Mapping[str, CameraSpec],
     recording: Recording,
@@ -85,36 +90,36 @@ def _find_views(
     engine: Engine,
     progress: Callable[[float], None],
     cache: RecordingCache,
-) -> dict[str, dict[int, tuple[BoardView, ...]]]:
-    """The views of boards in the images of cameras, by camera and hold; progress is called with the share done."""
+) -> dict[str, dict[int, tuple[ImageMarks, ...]]]:
+    """What is found in the images of cameras, by camera and hold; progress is called with the share done."""
     settings = rig.settings.detection.camera
     inputs = {name: {**list_shared_inputs(name, rig, holds), "settings": settings} for name in cameras}
-    views = {
+    marks = {
         name: kept
         for name, given in inputs.items()
-        if (kept := cache.read(recording, _VIEWS, given, (BoardView,))) is not None
+        if (kept := cache.read(recording, _MARKS, given, (ImageMarks, Marks))) is not None
     }
-    unread = {name: spec for name, spec in cameras.items() if name not in views}
+    unread = [name for name in cameras if name not in marks]
     if not unread:
-        return views
+        return marks
+    topics = {name: cameras[name].topic for name in unread}
     searched = search_holds(
         _find_in_hold,
-        {name: BoardViewFinder(rig.boards, spec.noise, settings=settings) for name, spec in unread.items()},
-        select_messages(rig, recording, timeline, engine)
-        or recording.records([spec.topic for spec in unread.values()]),
+        {name: BoardViewFinder(rig.boards, cameras[name].noise, settings=settings) for name in unread},
+        select_messages(rig, recording, timeline, engine) or recording.records(topics.values()),
         holds,
-        {name: spec.topic for name, spec in unread.items()},
+        topics,
         engine=engine,
         progress=lambda done: progress(done / max(len(holds) * len(unread), 1)),
     )
-    found: dict[str, dict[int, tuple[BoardView, ...]]] = {name: {} for name in unread}
+    found: dict[str, dict[int, tuple[ImageMarks, ...]]] = {name: {} for name in unread}
     for capture, name, of_hold in searched:
         if not isinstance(of_hold, Rejected):
             found[name][capture] = of_hold
     for name in unread:
-        views[name] = dict(sorted(found[name].items()))
-        cache.write(recording, _VIEWS, inputs[name], views[name])
-    return views
+        marks[name] = dict(sorted(found[name].items()))
+        cache.write(recording, _MARKS, inputs[name], marks[name])
+    return marks
 
 
 def _find_in_hold(
@@ -123,9 +128,9 @@ def _find_in_hold(
     name: str,
     decoders: Sequence[Callable[[], Message]],
     size: PreviewSize | None,  # noqa: ARG001
-) -> tuple[int, str, tuple[BoardView, ...] | Rejected]:
-    """The views of boards in one camera's images of one hold, from functions that decode them."""
-    return capture, name, finders[name].find([decode() for decode in decoders], explain=False)
+) -> tuple[int, str, tuple[ImageMarks, ...] | Rejected]:
+    """What is found in one camera's images of one hold, from functions that decode them."""
+    return capture, name, finders[name].search([decode() for decode in decoders])
 
 
 def calibrate_intrinsics(
@@ -179,16 +184,17 @@ def _calibrate_camera(
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
     timeline = build_timeline(recording.records([spec.topic]), recording.start, {name: spec.topic}, None)
     frames = _spread_frames(name, timeline, _MAX_IMAGES)
-    by_frame = _find_views(
+    marks = _find_marks(
         rig, {name: spec}, recording, timeline, frames, engine, lambda done: progress(0.5 * done), cache
     )[name]
+    by_frame = _combine_views(rig, name, marks)
     estimate = estimate_intrinsics(rig, name, _list_views(by_frame), spec.lens_to_estimate)
     if isinstance(estimate, Rejected) or not any(board.tags for board in rig.boards):
         return estimate
     camera = estimate.camera
     captures = search_holds(
         detect_in_hold,
-        {name: CameraDetector(rig.boards, camera, spec.noise, settings=settings).find},
+        {name: CameraDetector(rig.boards, camera, spec.noise, settings, found=_list_marks(marks)).find},
         select_messages(rig, recording, timeline, engine) or recording.records([spec.topic]),
         [frame for frame in frames if frame.index in by_frame],
         {name: spec.topic},
@@ -213,8 +219,19 @@ def _spread_frames(name: str, timeline: RecordingTimeline, count: int) -> list[H
     return [Hold(i, stamp, stamp, {name: np.array([stamp])}) for i, stamp in enumerate(stamps.tolist())]
 
 
+def _combine_views(rig: Rig, name: str, marks: Mapping[int, Sequence[ImageMarks]]) -> dict[int, list[BoardView]]:
+    """The views of boards by capture of one camera, of those that have some."""
+    finder = BoardViewFinder(rig.boards, rig.cameras()[name].noise, rig.settings.detection.camera)
+    views = {capture: finder.combine(found) for capture, found in marks.items()}
+    return {capture: of_capture for capture, of_capture in views.items() if of_capture}
+
+
 def _list_views(by_capture: Mapping[int, Sequence[BoardView]]) -> list[BoardView]:
     return [view for views in by_capture.values() for view in views]
+
+
+def _list_marks(by_capture: Mapping[int, Sequence[ImageMarks]]) -> dict[float, tuple[Marks, ...]]:
+    return {image.stamp: image.marks for found in by_capture.values() for image in found}
 
 
 def _describe(estimate: IntrinsicsEstimate) -> str:

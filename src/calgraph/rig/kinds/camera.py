@@ -22,7 +22,7 @@ def _make_detector(inputs: DetectorInputs) -> Detector:
     assert isinstance(spec, CameraSpec)
     assert inputs.camera is not None
     return CameraDetector(
-        rig.boards, inputs.camera, spec.noise, rig.settings.detection.camera, inputs.plane_estimator
+        rig.boards, inputs.camera, spec.noise, rig.settings.detection.camera, inputs.plane_estimator, inputs.marks
     ).find
 
 
@@ -33,9 +33,10 @@ _MIN_GRAY_CHANGE = 12.0
 
 
 def _average_blocks(message: Image) -> Signature:
-    height, width = message.gray.shape
+    gray = message.gray
+    height, width = gray.shape
     size = max(width // _IMAGE_BLOCK, 1), max(height // _IMAGE_BLOCK, 1)
-    return np.asarray(cv2.resize(message.gray, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
+    return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
 
 
 def _compare_blocks(before: Signature, after: Signature) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.boards.camera import PlaneEstimator
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
+from calgraph.boards.tags import Marks
 from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings, MaxMessageSettings
 from calgraph.geometry import Array, measure_lengths
@@ -37,6 +38,8 @@ class DetectorInputs:
     """Estimates the plane of boards with tags in place of one PnP over all corners."""
     seed: int
     """Of its samples."""
+    marks: Mapping[float, Sequence[Marks]]
+    """By stamp of an image that was searched before, what each finder found in it."""
 
 
 @dataclass(frozen=True)
