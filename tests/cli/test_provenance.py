@@ -18,8 +18,8 @@ Run = Callable[..., Result]
 def test_a_result_states_its_inputs(calibrated: tuple[Path, Result], simulated: Path) -> None:
     provenance = load_calibration(calibrated[0] / "calibration.yaml").provenance
     assert provenance is not None
-    assert [(Path(one.path).name, one.sha256) for one in provenance.inputs] == [
-        (name, hash_input(simulated / name)) for name in ("rig.yaml", "recording")
+    assert [(one.kind, Path(one.path).name, one.sha256) for one in provenance.inputs] == [
+        (kind, name, hash_input(simulated / name)) for kind, name in (("rig", "rig.yaml"), ("recording", "recording"))
     ]
     assert provenance.messages is not None
     assert provenance.messages > 0
