@@ -135,11 +135,12 @@ def _describe_provenance(provenance: Provenance | None) -> dict[str, Any] | None
     for number, one in enumerate(provenance.inputs):
         kind = one.kind or ("recording" if number else "rig")
         inputs[kind] = f"{inputs[kind]}, {one.path}" if kind in inputs else one.path
+    when = ""
     if provenance.start is not None and provenance.duration is not None:
         start = f"{datetime.fromtimestamp(provenance.start, UTC):%Y-%m-%d %H:%M:%S} UTC"
         rows.append(("recording", f"{provenance.duration:.1f} s from {start}, {provenance.messages} messages"))
-        if "recording" in inputs:
-            inputs["recording"] += f", {provenance.duration:.0f} s from {start}"
+        when = f"{provenance.duration:.0f} s from {start}"
     if provenance.cached:
         rows.append(("from the cache", f"detections of {', '.join(provenance.cached)}"))
-    return {"inputs": inputs, "date": provenance.date[:10], "rows": rows}
+    title = next(iter(inputs.values()), "")
+    return {"title": title, "inputs": inputs, "when": when, "date": provenance.date[:10], "rows": rows}
