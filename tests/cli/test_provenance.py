@@ -19,7 +19,8 @@ def test_a_result_states_its_inputs(calibrated: tuple[Path, Result], simulated: 
     provenance = load_calibration(calibrated[0] / "calibration.yaml").provenance
     assert provenance is not None
     assert [(one.kind, Path(one.path).name, one.sha256) for one in provenance.inputs] == [
-        (kind, name, hash_input(simulated / name)) for kind, name in (("rig", "rig.yaml"), ("recording", "recording"))
+        ("rig", "rig.yaml", hash_input(simulated / "rig.yaml")),
+        ("recording", "recording", hash_input(simulated / "recording")),
     ]
     assert provenance.messages is not None
     assert provenance.messages > 0

@@ -402,14 +402,14 @@ def test_the_header_names_rig_recording_and_date(calibration: Calibration, rig: 
         InputFile("robot/cad.urdf", "d" * 64, "prior"),
     )
     header = read_header(files, calibration, rig)
-    recordings = "recording robot/take_1, robot/take_2, 37 s from 2023-11-14 22:13:20 UTC"
+    recordings = "recording robot/take_1, robot/take_2 , 37 s from 2023-11-14 22:13:20 UTC"
     assert f"rig robot/rig.yaml · {recordings} · prior robot/cad.urdf · calibrated 2026-11-29" in header
 
 
 def test_inputs_of_earlier_versions_have_no_kinds(calibration: Calibration, rig: Rig) -> None:
     files = (InputFile("robot/rig.yaml", "a" * 64), InputFile("robot/take_1", "b" * 64))
     header = read_header(files, calibration, rig)
-    assert "rig robot/rig.yaml · recording robot/take_1, 37 s from 2023-11-14 22:13:20 UTC" in header
+    assert "rig robot/rig.yaml · recording robot/take_1 , 37 s from 2023-11-14 22:13:20 UTC" in header
 
 
 def read_header(files: tuple[InputFile, ...], calibration: Calibration, rig: Rig) -> str:
