@@ -30,7 +30,7 @@ def docs(
 ) -> None:
     """List the pages of the documentation, or print one.
 
-    On a terminal a page is laid out, with links; in a pipe or file it is Markdown.
+    On a terminal a page is formatted; in a pipe or file it is Markdown.
     """
     folder = _find_folder()
     listed = _LISTED.findall((folder / "index.md").read_text(encoding="utf-8"))
