@@ -27,8 +27,8 @@ from calgraph.network.pipeline import calibrate_network
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.open_cluster import open_cluster
 from calgraph.recording import open_recordings
-from calgraph.simulation.hall_recording import record_hall
 from calgraph.simulation.hall_scenario import HallScenario, LidarModel
+from calgraph.simulation.hall_simulation import record_hall
 from calgraph.simulation.truth import load_truth
 from network_stages import Stopwatch, fit_slope
 from process_costs import in_process, measure_peak_memories

@@ -12,9 +12,10 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from message_list import message_list
 from plotly.offline import get_plotlyjs
-from settings_tables import settings_tables
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
+
+from calgraph.config.settings_tables import settings_tables
 
 _SCRIPT = "plotly.min.js"
 _SHOWN = "figure"

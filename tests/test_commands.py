@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ BUILT = {"_build", "gallery", "generated"}
 FIRST = "docs/quickstart.md"
 """It makes the recordings and results that other pages' commands take."""
 LIVE = "docs/live.md"
+FLEET = "docs/fleet.md"
 PLACES = 14
 """To which the simulated operator of the quick start carries the board."""
 EMPTY = 5.0
@@ -31,13 +33,30 @@ PAGES = sorted(
 NOT_RUN = {
     "git clone": "needs a network",
     "cd calgraph": "is into the checkout",
-    "pip install": "needs a network",
+    "pip": "needs a network, or removes what runs the tests",
     "make": "is what runs the tests, and what they test by themselves",
     "ros2": "needs ROS",
     "rosbag": "needs ROS",
     "xacro": "needs ROS",
 }
 """Commands that are shown but not run, by what they begin with, and why."""
+
+
+WITH_PYTHON = ("docs/library.md", "docs/use.md", "docs/formats.md")
+"""Pages whose programs take the recording and the results of the quick start."""
+
+
+def python_of(page: str) -> str:
+    """All programs of a page."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL))
+
+
+def run_python(page: str, folder: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", python_of(page)], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{page}:\n{done.stderr}"
 
 
 def blocks(page: str) -> list[str]:
@@ -129,12 +148,45 @@ def test_a_background_of_the_draft_ends_before_the_board_is_in_view(reader: Read
     assert 0 <= start <= end <= EMPTY
 
 
-def test_python_of_the_quick_start_runs(reader: Reader) -> None:
-    (program,) = re.findall(r"^```python\n(.*?)^```", (ROOT / FIRST).read_text("utf-8"), re.MULTILINE | re.DOTALL)
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=reader.folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+@pytest.mark.parametrize("page", [FIRST, *WITH_PYTHON])
+def test_python_of_pages_runs(page: str, reader: Reader) -> None:
+    run_python(page, reader.folder)
+
+
+def test_no_other_page_has_a_program() -> None:
+    # Those of conventions.md are doctests.
+    others = {page for page in PAGES if python_of(page)} - {FIRST, FLEET, *WITH_PYTHON, "docs/conventions.md"}
+    assert others == set()
+
+
+def test_commands_are_in_blocks_that_run() -> None:
+    shown = {}
+    for page in PAGES:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        fenced = re.findall(r"^```(\w*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+        shown[page] = [
+            block for kind, block in fenced if kind != "sh" and re.search("^calgraph ", block, re.MULTILINE)
+        ]
+    # That of a robot's bridge is replayed by another test.
+    assert {page for page, found in shown.items() if found} == {LIVE}
+
+
+def test_the_fleet_of_its_page_is_calibrated(reader: Reader) -> None:
+    """As one robot of it, whose recording is that of the quick start."""
+    text = (ROOT / FLEET).read_text(encoding="utf-8")
+    (described,) = re.findall(r"^```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    robots = described.index("  amr-02")
+    (reader.folder / "fleet.yaml").write_text(described[:robots], encoding="utf-8")
+    for place, made in (
+        ("rigs/amr-01.yaml", "robot/rig.yaml"),
+        ("data/amr-01/march.mcap", "robot/recording/*.mcap"),
+    ):
+        (reader.folder / place).parent.mkdir(parents=True, exist_ok=True)
+        (source,) = reader.folder.glob(made)
+        shutil.copy(source, reader.folder / place)
+    run(FLEET, reader.folder)
+    run_python(FLEET, reader.folder)
+    assert (reader.folder / "fleet/index.html").is_file()
 
 
 @pytest.mark.timeout(600)
@@ -161,6 +213,6 @@ def test_a_session_runs_as_the_live_page_states(reader: Reader) -> None:
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", [page for page in PAGES if page not in (FIRST, LIVE) and blocks(page)])
+@pytest.mark.parametrize("page", [page for page in PAGES if page not in (FIRST, LIVE, FLEET) and blocks(page)])
 def test_commands_run(page: str, reader: Reader) -> None:
     run(page, reader.folder)

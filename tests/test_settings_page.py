@@ -1,10 +1,10 @@
 """The page on settings names every setting with its default and limits."""
 
 import pytest
-from docs.settings_tables import settings_tables
 from pydantic import BaseModel
 
 from calgraph.config.settings import Settings
+from calgraph.config.settings_tables import settings_tables
 from test_settings import leaves
 
 PAGE = settings_tables()

@@ -24,7 +24,7 @@ print({topic: f"{len(clouds)} clouds" for topic, clouds in drive.messages.items(
 # The content of ``rig.yaml``, as an object.
 sensors = {name: calgraph.Lidar3dSpec(topic=topic) for name, topic in drive.topics.items()}
 rig = calgraph.Rig(root=drive.root, target=calgraph.Surroundings(), sensors=sensors)
-calibration = calgraph.calibrate_drive(rig, drive.recording, calgraph.DriveOptions())
+calibration = calgraph.calibrate_drive(rig, drive.recording)
 columns = ["x", "y", "z", "yaw_deg", "stddev_x", "stddev_y", "clock_offset", "verdict"]
 print(calgraph.to_dataframe(calibration)[columns].round(4).to_string())
 

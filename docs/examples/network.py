@@ -26,7 +26,7 @@ import calgraph
 rig = calgraph.Rig(
     root="scanner_1", target=calgraph.People(), sensors={name: calgraph.Lidar2dSpec(topic=name) for name in scans}
 )
-calibration = calgraph.calibrate_network(rig, calgraph.MessageRecording(scans), calgraph.NetworkOptions())
+calibration = calgraph.calibrate_network(rig, calgraph.MessageRecording(scans))
 columns = ["x", "y", "yaw_deg", "stddev_x", "stddev_y", "clock_offset", "verdict"]
 print(calgraph.to_dataframe(calibration)[columns].round(4).to_string())
 

@@ -109,7 +109,7 @@ for name, own in found.items():
 # %%
 # Calibrating
 # -----------
-calibration = calgraph.calibrate_detections(rig, found, calgraph.RigOptions())
+calibration = calgraph.calibrate_detections(rig, found)
 for sensor in calibration.sensors:
     error = se3.difference(sensor.T_root_sensor, TRUE[sensor.name])
     stddev = np.sqrt(np.diag(sensor.covariance))

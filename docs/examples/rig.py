@@ -45,7 +45,7 @@ import calgraph
 
 rig = calgraph.load_rig(folder / "rig.yaml")
 with calgraph.open_recording(folder / "recording") as recording:
-    calibration = calgraph.calibrate_rig(rig, recording, calgraph.RigOptions())
+    calibration = calgraph.calibrate_rig(rig, recording)
 
 calgraph.save_calibration(calibration, folder / "calibration.yaml")
 

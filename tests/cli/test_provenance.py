@@ -18,8 +18,9 @@ Run = Callable[..., Result]
 def test_a_result_states_its_inputs(calibrated: tuple[Path, Result], simulated: Path) -> None:
     provenance = load_calibration(calibrated[0] / "calibration.yaml").provenance
     assert provenance is not None
-    assert [(Path(one.path).name, one.sha256) for one in provenance.inputs] == [
-        (name, hash_input(simulated / name)) for name in ("rig.yaml", "recording")
+    assert [(one.kind, Path(one.path).name, one.sha256) for one in provenance.inputs] == [
+        ("rig", "rig.yaml", hash_input(simulated / "rig.yaml")),
+        ("recording", "recording", hash_input(simulated / "recording")),
     ]
     assert provenance.messages is not None
     assert provenance.messages > 0

@@ -21,7 +21,7 @@ from calgraph.simulation import (
     load_truth,
     simulate_network,
 )
-from calgraph.simulation.hall_recording import record_hall
+from calgraph.simulation.hall_simulation import record_hall
 
 SCENARIO = NetworkScenario(
     layout="office", duration=24.0, scanner=ScannerOptions(count=3, resolution=1.0, rate=10.0)

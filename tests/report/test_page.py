@@ -395,12 +395,27 @@ def test_a_board_out_of_view_is_no_rejection(calibration: Calibration, rig: Rig)
 
 
 def test_the_header_names_rig_recording_and_date(calibration: Calibration, rig: Rig) -> None:
-    inputs = (InputFile("robot/rig.yaml", "a" * 64), InputFile("robot/take_1", "b" * 64))
-    made = Provenance("0.3", "2026-11-29T13:00:00+00:00", "calgraph calibrate", inputs, 1.7e9, 37.4, 800)
+    files = (
+        InputFile("robot/rig.yaml", "a" * 64, "rig"),
+        InputFile("robot/take_1", "b" * 64, "recording"),
+        InputFile("robot/take_2", "c" * 64, "recording"),
+        InputFile("robot/cad.urdf", "d" * 64, "prior"),
+    )
+    header = read_header(files, calibration, rig)
+    recordings = "recording robot/take_1, robot/take_2 , 37 s from 2023-11-14 22:13:20 UTC"
+    assert f"rig robot/rig.yaml · {recordings} · prior robot/cad.urdf · calibrated 2026-11-29" in header
+
+
+def test_inputs_of_earlier_versions_have_no_kinds(calibration: Calibration, rig: Rig) -> None:
+    files = (InputFile("robot/rig.yaml", "a" * 64), InputFile("robot/take_1", "b" * 64))
+    header = read_header(files, calibration, rig)
+    assert "rig robot/rig.yaml · recording robot/take_1 , 37 s from 2023-11-14 22:13:20 UTC" in header
+
+
+def read_header(files: tuple[InputFile, ...], calibration: Calibration, rig: Rig) -> str:
+    made = Provenance("0.3", "2026-11-29T13:00:00+00:00", "calgraph calibrate", files, 1.7e9, 37.4, 800)
     words = Page(render_report(dataclasses.replace(calibration, provenance=made), rig)).words
-    header = words[: words.index("Verdict")]
-    assert "rig robot/rig.yaml · recording robot/take_1, 37 s from 2023-11-14 22:13:20 UTC" in header
-    assert "calibrated 2026-11-29" in header
+    return words[: words.index("Verdict")]
 
 
 def test_the_root_has_a_card(page: Page) -> None:

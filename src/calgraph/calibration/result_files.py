@@ -77,7 +77,7 @@ _HASHED_BYTES = 2**20
 
 def make_provenance(
     command: str,
-    inputs: Iterable[Path | str],
+    inputs: Iterable[tuple[str, Path | str]],
     recording: Recording | None = None,
     cache: RecordingCache = NO_CACHE,
 ) -> Provenance:
@@ -85,7 +85,7 @@ def make_provenance(
 
     Args:
         command: the command line.
-        inputs: files, folders and URLs that it reads.
+        inputs: kinds, as :attr:`InputFile.kind` has them, with the files, folders and URLs that it reads.
         recording: the recording among them, open.
         cache: where detections may have been taken from.
     """
@@ -93,7 +93,7 @@ def make_provenance(
         version=version("calgraph"),
         date=_now().isoformat(timespec="seconds"),
         command=command,
-        inputs=tuple(InputFile(str(path), hash_input(path)) for path in inputs),
+        inputs=tuple(InputFile(str(path), hash_input(path), kind) for kind, path in inputs),
     )
     if recording is None:
         return provenance

@@ -50,8 +50,15 @@ def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
 
 
 # In the order of the work with them.
+_PAGES = {
+    "demo": "quickstart", "board": "boards", "plan": "recording", "live": "live", "inspect": "formats",
+    "init": "quickstart", "intrinsics": "rigs", "calibrate": "quickstart", "view": "use", "export": "use",
+    "check": "audit", "fleet": "fleet", "verify": "reliability", "solve": "formats", "docs": "quickstart",
+    "cache": "formats",
+}  # fmt: skip
+"""What ``calgraph docs`` has on a command."""
 COMMANDS = {
-    name: LazyCommand(f"calgraph.cli.{name}", name, summary)
+    name: LazyCommand(f"calgraph.cli.{name}", name, summary, _PAGES[name])
     for name, summary in {
         "demo": "Simulate a five-sensor robot, calibrate it, and compare with the ground truth.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
@@ -70,6 +77,7 @@ COMMANDS = {
         "when.",
         "verify": "Test the covariances of a rig's calibration by a bootstrap over its captures.",
         "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
+        "docs": "List the pages of the documentation, or print one.",
         "cache": "Show where detections are kept for later runs, and their size; or remove them.",
     }.items()
 }
@@ -78,20 +86,28 @@ SIMULATIONS = {
         "calgraph.cli.simulate",
         "simulate_rig_command",
         "Simulate a robot, a board, and an operator who carries it around; write recording and ground truth.",
+        "quickstart",
     ),
     "drive": LazyCommand(
         "calgraph.cli.simulate_drive",
         "simulate_drive_command",
         "Simulate a robot that drives; write recording, rig.yaml and ground truth.",
+        "driving",
     ),
     "network": LazyCommand(
         "calgraph.cli.simulate_network",
         "simulate_network_command",
         "Simulate scanners in a building, and people who walk through; write recording and ground truth.",
+        "buildings",
     ),
 }
 
-app = typer.Typer(cls=lazy_group(COMMANDS, handle_errors), no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(
+    cls=lazy_group(COMMANDS, handle_errors),
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    epilog="Guides: calgraph docs; first calgraph docs quickstart, after a message calgraph docs troubleshooting.",
+)
 simulate = typer.Typer(
     cls=lazy_group(SIMULATIONS, handle_errors), no_args_is_help=True, help="Simulate recordings with ground truth."
 )

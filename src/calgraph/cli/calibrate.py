@@ -26,7 +26,7 @@ from calgraph.cli.common_options import (
     list_choices,
     open_engine,
 )
-from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
+from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, list_prior_files, read_priors
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.errors import CalibrationError, InputError
 
@@ -176,11 +176,11 @@ def calibrate(
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
             calibration = calibrate_any(rig, recording, options, _load_meanwhile(progress))
-            read: list[Path | str] = [
-                rig_file,
-                *recordings,
-                *([prior] if prior else []),
-                *([extend] if extend else []),
+            read: list[tuple[str, Path | str]] = [
+                ("rig", rig_file),
+                *(("recording", one) for one in recordings),
+                *list_prior_files(prior, rigid),
+                *([("earlier calibration", extend)] if extend else []),
             ]
             calibration = replace(calibration, provenance=describe_run(read, recording, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)

@@ -47,8 +47,10 @@ def demo(
                 calibration = calibrate_rig(
                     rig, recording, RigOptions(engine=Processes(available_cores())), progress
                 )
-                # The command repeats the recording: there is no other input.
-                calibration = replace(calibration, provenance=describe_run([], recording))
+                run = describe_run([("rig", folder / "rig.yaml"), ("recording", folder / "recording")], recording)
+                # The folder has a temporary name until it is complete.
+                inputs = tuple(replace(one, path=str(out / Path(one.path).name)) for one in run.inputs)
+                calibration = replace(calibration, provenance=replace(run, inputs=inputs))
                 rig = resolve_intrinsics(rig, recording)
         (folder / "result").mkdir()
         write_results(calibration, rig, folder / "result", available_cores())

@@ -27,6 +27,8 @@ class LazyCommand:
     function: str
     summary: str
     """The first line of its docstring."""
+    page: str
+    """Of the documentation, to which its help points."""
 
     def load(self) -> Callable[..., None]:
         """The command's function."""
@@ -100,7 +102,8 @@ def lazy_group(
                 alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
                 function = commands[name].load()
                 help_text = _join_lines(function.__doc__ or "")
-                alone.command(name, cls=_Command, help=help_text)(_add_verbose(wrap(function)))
+                epilog = f"Guide: calgraph docs {commands[name].page}"
+                alone.command(name, cls=_Command, help=help_text, epilog=epilog)(_add_verbose(wrap(function)))
                 self.commands[name] = typer.main.get_command(alone)
             return super().resolve_command(ctx, list(args))
 

@@ -118,7 +118,7 @@ def print_provenance(provenance: Provenance) -> None:
     output = console()
     output.print(escape(f"Computed by calgraph {provenance.version} at {provenance.date}: {provenance.command}"))
     for one in provenance.inputs:
-        output.print(escape(f"from {one.path} (SHA-256 {one.sha256[:12]}…)"))
+        output.print(escape(f"{one.kind or 'from'} {one.path} (SHA-256 {one.sha256[:12]}…)"))
     if provenance.start is not None and provenance.duration is not None:
         start = datetime.fromtimestamp(provenance.start, UTC).isoformat(timespec="seconds")
         output.print(f"recorded {start}, {provenance.duration:.1f} s, {provenance.messages} messages")

@@ -74,3 +74,9 @@ def read_priors(
         groups.append(RigidFile(read_extrinsics(Path(file)), tuple(names.split(","))))
     deviations = (stddev[0], math.radians(stddev[1])) if stddev else None
     return PriorFile(read_extrinsics(prior), deviations) if prior else None, tuple(groups)
+
+
+def list_prior_files(prior: Path | None, rigid: list[str] | None) -> list[tuple[str, Path | str]]:
+    """The files that the options name, with their kinds, as a result states what it was computed from."""
+    groups: list[tuple[str, Path | str]] = [("rigid group", text.rpartition(":")[0]) for text in rigid or ()]
+    return [("prior", prior), *groups] if prior else groups

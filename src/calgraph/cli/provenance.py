@@ -16,7 +16,7 @@ def format_command() -> str:
 
 
 def describe_run(
-    inputs: Iterable[Path | str], recording: Recording | None = None, cache: RecordingCache = NO_CACHE
+    inputs: Iterable[tuple[str, Path | str]], recording: Recording | None = None, cache: RecordingCache = NO_CACHE
 ) -> Provenance:
     """The provenance of what the running command computes; arguments are those of :func:`make_provenance`."""
     return make_provenance(format_command(), inputs, recording, cache)

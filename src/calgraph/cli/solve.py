@@ -18,7 +18,7 @@ from calgraph.cli.common_options import (
     check_not_overwriting,
     list_choices,
 )
-from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
+from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, list_prior_files, read_priors
 from calgraph.cli.setting_options import SetOption, override_settings, parse_limits, parse_published
 from calgraph.errors import InputError
 
@@ -79,7 +79,8 @@ def solve(
         problem = replace(problem, solver=problem.solver.model_copy(update={"folds": folds}))
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))
     with replace_folder_atomically(out, "calibration.yaml") as folder:
-        calibration = replace(solve_problem(problem), provenance=describe_run([file, *([prior] if prior else [])]))
+        read = [("problem", file), *list_prior_files(prior, rigid)]
+        calibration = replace(solve_problem(problem), provenance=describe_run(read))
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json, strict=strict)
 

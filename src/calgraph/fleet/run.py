@@ -108,7 +108,9 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
         else:
             calibration = calibrate(rig, recording, _make_options(rig, task.seed, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
-        inputs = [task.rig, task.path, *([task.reference] if task.reference else [])]
+        inputs: list[tuple[str, Path | str]] = [("rig", task.rig), ("recording", task.path)]
+        if task.reference:
+            inputs.append(("reference", task.reference))
         provenance = make_provenance(options.command, inputs, recording, cache)
     calibration = replace(calibration, provenance=provenance)
     write_results(calibration, rig, folder)

@@ -102,7 +102,10 @@ async def record_session(
 
 # Exit code of commands that calibrate nothing.
 _NOT_CALIBRATED = 1
-_NO_CAPTURES = "No capture was taken: the recording is kept, and there is nothing to calibrate"
+_NO_CAPTURES = (
+    "No capture was taken. The recording is kept: resume the session and hold the board still at each place, or "
+    "calibrate the recording with your rig.yaml, which finds shorter rests"
+)
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,8 @@ class RecordingCache:
         max_bytes: maximum size of the folder; the least recently used results are removed first.
     """
 
-    def __init__(self, path: Path | None, max_bytes: int = MAX_BYTES) -> None:
-        self._folder = CacheFolder(path, max_bytes) if path else None
+    def __init__(self, path: Path | str | None, max_bytes: int = MAX_BYTES) -> None:
+        self._folder = CacheFolder(Path(path), max_bytes) if path else None
         self._writable = True
         self._contents: dict[tuple[Path, ...], tuple[str, tuple[FileState, ...]]] = {}
         self.reused: set[str] = set()

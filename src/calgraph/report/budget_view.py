@@ -36,7 +36,9 @@ def render_budget(calibration: Calibration) -> Markup:
     if len(shown) < len(sensors):
         caption += f" The {len(shown)} least certain of {len(sensors)} sensors are shown; inspect has all."
     description = "Shares of the sources of errors in the variances of the poses"
-    return render_figure("budget-shares", _draw(segments), 90 + 80 * len(shown), description, caption=caption)
+    drawn = _draw(segments)
+    key = [(trace["name"], trace["marker"]["color"]) for trace in drawn["data"]]
+    return render_figure("budget-shares", drawn, 90 + 80 * len(shown), description, caption=caption, key=key)
 
 
 @dataclass(frozen=True)

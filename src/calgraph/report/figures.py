@@ -61,7 +61,13 @@ class Chooser:
 
 
 def render_figure(
-    name: str, content: Figure, height: int, description: str, choosers: Sequence[Chooser] = (), caption: str = ""
+    name: str,
+    content: Figure,
+    height: int,
+    description: str,
+    choosers: Sequence[Chooser] = (),
+    caption: str = "",
+    key: Sequence[tuple[str, str]] = (),
 ) -> Markup:
     """HTML of a figure, with its data as JSON.
 
@@ -72,12 +78,13 @@ def render_figure(
         description: for screen readers.
         choosers: buttons above the figure.
         caption: above the buttons.
+        key: names and colours that stand above the figure on narrow screens, where they replace its legend.
     """
     if choosers:
         content = content | {"choices": [list(chooser.choices.values()) for chooser in choosers]}
     return render(
         "figure.html", name=name, content=_to_json(content), height=height, description=description,
-        choosers=choosers, caption=caption,
+        choosers=choosers, caption=caption, key=[(Markup(label), color) for label, color in key],
     )  # fmt: skip
 
 

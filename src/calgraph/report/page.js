@@ -13,9 +13,12 @@ const draw = (id) => {
   for (const chooser of document.querySelectorAll("fieldset.choice")) {
     if (chooser.dataset.for === id) choose(figure, figure.choices[chooser.dataset.of][chooser.querySelector(":checked").value]);
   }
+  const place = document.getElementById(id);
+  const key = place.previousElementSibling;
+  if (key?.matches(".key.narrow")) figure.layout.showlegend = getComputedStyle(key).display === "none";
   const config = { responsive: true, displaylogo: false, displayModeBar: false };
   one.drawn = true;
-  Plotly.react(document.getElementById(id), figure.data, { ...figure.layout, uirevision: "kept" }, config);
+  Plotly.react(place, figure.data, { ...figure.layout, uirevision: "kept" }, config);
 };
 
 // Applies the changes of a button: visibility of traces, parts of the layout, and poses of scanners.

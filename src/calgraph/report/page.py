@@ -122,7 +122,7 @@ def _render_poses(calibration: Calibration) -> Markup:
 
 
 def _describe_provenance(provenance: Provenance | None) -> dict[str, Any] | None:
-    """Rig, recording and date for the header, and rows of the program, the command and the input files."""
+    """Inputs by kind and the date for the header, and rows of the program, the command and the input files."""
     if provenance is None:
         return None
     rows = [
@@ -131,13 +131,16 @@ def _describe_provenance(provenance: Provenance | None) -> dict[str, Any] | None
         ("command", provenance.command),
         *((one.path, f"SHA-256 {one.sha256}") for one in provenance.inputs),
     ]
-    # The rig first, then the recordings, and prior or earlier poses.
-    rig, *others = (one.path for one in provenance.inputs) if provenance.inputs else ("",)
-    recording = ", ".join(others)
+    inputs: dict[str, str] = {}
+    for number, one in enumerate(provenance.inputs):
+        kind = one.kind or ("recording" if number else "rig")
+        inputs[kind] = f"{inputs[kind]}, {one.path}" if kind in inputs else one.path
+    when = ""
     if provenance.start is not None and provenance.duration is not None:
         start = f"{datetime.fromtimestamp(provenance.start, UTC):%Y-%m-%d %H:%M:%S} UTC"
         rows.append(("recording", f"{provenance.duration:.1f} s from {start}, {provenance.messages} messages"))
-        recording += f", {provenance.duration:.0f} s from {start}"
+        when = f"{provenance.duration:.0f} s from {start}"
     if provenance.cached:
         rows.append(("from the cache", f"detections of {', '.join(provenance.cached)}"))
-    return {"rig": rig, "recording": recording, "date": provenance.date[:10], "rows": rows}
+    title = next(iter(inputs.values()), "")
+    return {"title": title, "inputs": inputs, "when": when, "date": provenance.date[:10], "rows": rows}

@@ -29,6 +29,9 @@ class InputFile:
     """As it was given."""
     sha256: str
     """Of its size, first and last mebibyte; of a folder, of all files in it."""
+    kind: str = ""
+    """What it is: rig, recording, problem, prior, rigid group, earlier calibration or reference; empty in files of
+    versions before 0.3, which have the rig first, then the recordings."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Provenance:
     command: str
     """The command line."""
     inputs: tuple[InputFile, ...]
-    """The rig, the recordings, and all other files that were read."""
+    """All files and folders that were read."""
     start: Finite | None = None
     """Start of the recording, s; None where there was none."""
     duration: Finite | None = None

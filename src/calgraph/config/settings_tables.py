@@ -1,6 +1,5 @@
-"""The tables of the page on settings, from the settings classes: `python docs/settings_tables.py` prints them."""
+"""The tables of the page on settings, from the settings classes."""
 
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -50,7 +49,3 @@ def _format(value: Any) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_format, value))}]"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-if __name__ == "__main__":
-    sys.stdout.write(f"{settings_tables()}\n")
