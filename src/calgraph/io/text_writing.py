@@ -2,109 +2,36 @@
 
 import json
 import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml.resolver import implicit_resolvers
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedSeq
+from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.representer import RoundTripRepresenter
 
 from calgraph.io.atomic import write_text
 
-# Lists and mappings of single values go on after this many characters on the next line.
-_WIDTH = 200
-# Texts that readers of either version of YAML take for another type: numbers, true, yes, null, dates.
-_OTHER_TYPES = [pattern for _, _, pattern, _ in implicit_resolvers]
-# Other texts that need no quotes: no indicator or mark of a document at the start, no comment, no end of a key.
-# Within braces and brackets, theirs and commas are indicators as well.
-_PLAIN = re.compile(r"(?!---|\.\.\.|[-?:](\s|$))[^\s#&*!|>'\"%@`,\[\]{}=]((?!:\s|\s#|:$).)*(?<!\s)")
-_FLOW_INDICATORS = re.compile(r"[,?\[\]{}]|:(?=[,\[\]{}])|^[-:]")
-
 
 def format_yaml(content: Mapping[str, Any], comment: str = "") -> str:
-    """Plain values as YAML, innermost lists and mappings on one line, below a comment.
-
-    ruamel.yaml, which reads YAML here, takes 40 times as long.
-    """
-    lines = [*(f"# {line}" for line in comment.splitlines()), *_list_lines(content, "")]
-    return "".join(f"{line}\n" for line in lines)
-
-
-def _list_lines(value: Mapping[Any, Any] | Sequence[Any], indent: str) -> Iterator[str]:
-    """The lines of a list or mapping that is not empty, each after an indentation."""
-    if isinstance(value, Mapping):
-        for key, part in value.items():
-            head = f"{indent}{_format_scalar(key)}:"
-            if _is_on_one_line(part):
-                yield from _wrap(f"{head} ", part, f"{indent}  ")
-            else:
-                yield head
-                yield from _list_lines(part, f"{indent}  " if isinstance(part, Mapping) else indent)
-    else:
-        for part in value:
-            if _is_on_one_line(part):
-                yield from _wrap(f"{indent}- ", part, f"{indent}  ")
-            else:
-                first, *others = _list_lines(part, f"{indent}  ")
-                yield from (f"{indent}- {first.removeprefix(f'{indent}  ')}", *others)
-
-
-def _is_collection(value: Any) -> bool:
-    return isinstance(value, Mapping | list | tuple)
-
-
-def _is_on_one_line(value: Any) -> bool:
-    parts = value.values() if isinstance(value, Mapping) else value
-    return not _is_collection(value) or not any(map(_is_collection, parts))
-
-
-def _wrap(line: str, value: Any, indent: str) -> Iterator[str]:
-    """A value without inner collections after the start of a line; further lines begin with an indentation."""
-    if not _is_collection(value):
-        yield line + _format_scalar(value)
-        return
-    if isinstance(value, Mapping):
-        begin, end = "{}"
-        parts = [f"{_format_scalar(key, True)}: {_format_scalar(part, True)}" for key, part in value.items()]
-    else:
-        begin, end = "[]"
-        parts = [_format_scalar(part, True) for part in value]
-    line += begin
-    for n, part in enumerate(parts):
-        if n:
-            line += ","
-            if len(line) > _WIDTH:
-                yield line
-                line = indent
-            else:
-                line += " "
-        line += part
-    yield line + end
-
-
-def _format_scalar(value: Any, in_flow: bool = False) -> str:
-    if value is None:
-        return "null"  # in full: lists with empty elements are hard to read
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return format_yaml_number(float(value))
-    text = str(value)
-    if not text.isprintable():
-        return '"' + text.encode("unicode_escape").decode().replace('"', '\\"') + '"'
-    is_plain = _PLAIN.fullmatch(text) and not (in_flow and _FLOW_INDICATORS.search(text))
-    if is_plain and not any(pattern.match(text) for pattern in _OTHER_TYPES):
-        return text
-    return json.dumps(text, ensure_ascii=False) if "'" in text else f"'{text}'"
+    """Plain values as YAML, innermost lists and mappings on one line, below a comment."""
+    yaml = YAML()
+    yaml.Representer = _Representer
+    yaml.default_flow_style = None
+    yaml.width = 200
+    yaml.allow_unicode = True
+    stream = StringIO()
+    yaml.dump(content, stream)
+    return "".join(f"# {line}\n" for line in comment.splitlines()) + stream.getvalue()
 
 
 def format_yaml_number(value: float) -> str:
     """A number as YAML has it, to the last bit.
 
-    0.000001 becomes 1.0e-06: readers of YAML 1.1 (ROS) take Python's 1e-06 for a text.
+    0.000001 becomes 1.0e-06: readers of YAML 1.1 (ROS) take ruamel's 1e-06 for a text.
     """
     text = {math.inf: ".inf", -math.inf: "-.inf"}.get(value, ".nan" if math.isnan(value) else repr(value))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
@@ -117,6 +44,30 @@ def save_yaml(path: Path, content: Mapping[str, Any], comment: str = "") -> None
         InputError: ``path`` cannot be written.
     """
     write_text(path, format_yaml(content, comment))
+
+
+def flow_sequence(values: Iterable[object]) -> CommentedSeq:
+    """A list that is always written on one line."""
+    sequence = CommentedSeq(values)
+    sequence.fa.set_flow_style()
+    return sequence
+
+
+class _Representer(RoundTripRepresenter):
+    """Writes numbers as :func:`format_yaml_number` does, and null."""
+
+    def represent_number(self, value: float) -> ScalarNode:
+        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", format_yaml_number(value))
+        return node
+
+    def represent_nothing(self, _value: None) -> ScalarNode:
+        """Null in full: lists with empty elements are hard to read."""
+        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:null", "null")
+        return node
+
+
+_Representer.add_representer(float, _Representer.represent_number)
+_Representer.add_representer(type(None), _Representer.represent_nothing)
 
 
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")

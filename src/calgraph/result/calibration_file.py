@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_atomically, write_text
-from calgraph.io.text_writing import escape_formula, format_yaml, format_yaml_number
+from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
 from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget
 from calgraph.result.calibration import Calibration, Provenance
@@ -54,7 +55,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     if calibration.corrections:
         text += format_yaml({"corrections": {n: _correction(one) for n, one in calibration.corrections.items()}})
     if calibration.has_correlations:
-        order = [sensor.name for sensor in calibration.sensors]
+        order = flow_sequence(sensor.name for sensor in calibration.sensors)
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
     else:
         text += _cross_covariances(calibration)
@@ -88,8 +89,8 @@ def _base(base: BaseFrame) -> dict[str, Any]:
     entry: dict[str, Any] = {"frame": base.frame, "axle": base.axle}
     if base.known:
         t, q = base.T_base_root[:3, 3], so3.quaternion(base.T_base_root[:3, :3])
-        entry["translation"] = [None if np.isnan(x) else x for x in _round_digits(t, 15)]
-        entry["rotation"] = _round_digits(q, 14)
+        entry["translation"] = flow_sequence(None if np.isnan(x) else x for x in _round_digits(t, 15))
+        entry["rotation"] = flow_sequence(_round_digits(q, 14))
         entry["covariance"] = _symmetric(base.covariance, 9)
     return {**entry, "verdict": _verdict(base.verdict)}
 
@@ -99,8 +100,8 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry["kind"] = sensor.kind
     entry["frame_id"] = sensor.frame_id
     # These digits keep poses to better than 1e-12 at any distance within a rig.
-    entry["translation"] = _round_digits(sensor.T_root_sensor[:3, 3], 15)
-    entry["rotation"] = _round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14)
+    entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
+    entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
     entry["covariance"] = _symmetric(sensor.covariance, 9)
     if sensor.stated is not None:
         entry["stated"] = {key: value for key, value in asdict(sensor.stated).items() if value is not None}
@@ -116,7 +117,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
 def _intrinsics(intrinsics: Intrinsics) -> dict[str, Any]:
     """The block as rig.yaml has it."""
     K, distortion = _round_digits(intrinsics.K, 12), _round_digits(intrinsics.distortion, 12)
-    values = {"K": K, "distortion": distortion}
+    values = {"K": flow_sequence(K), "distortion": flow_sequence(distortion)}
     return {**intrinsics.model_dump(exclude_none=True), **values}
 
 
@@ -128,10 +129,10 @@ def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
 
 
 def _correction(one: Correction) -> dict[str, Any]:
-    rings = [_round_digits(ring, 9) for ring in one.rings]
+    rings = [flow_sequence(_round_digits(ring, 9)) for ring in one.rings]
     return {
         "distance": _round_digits([one.distance], 9)[0],
-        "parameters": [parameter.quantity for parameter in one.parameters],
+        "parameters": flow_sequence(parameter.quantity for parameter in one.parameters),
         **({"rings": rings} if rings else {}),
         "covariance": _symmetric(one.covariance, 9),
     }
@@ -207,8 +208,8 @@ def _rounded(uncertainty: Mapping[str, Mapping[str, float]]) -> dict[str, dict[s
 
 def _board_pose(T_root_board: Array) -> dict[str, Any]:
     return {
-        "translation": _round_digits(T_root_board[:3, 3], 6),
-        "rotation": _round_digits(so3.quaternion(T_root_board[:3, :3]), 6),
+        "translation": flow_sequence(_round_digits(T_root_board[:3, 3], 6)),
+        "rotation": flow_sequence(_round_digits(so3.quaternion(T_root_board[:3, :3]), 6)),
     }
 
 
@@ -248,7 +249,7 @@ def _captures(rows: Sequence[CaptureRow]) -> dict[str, Any]:
     for row in rows:
         by_sensor.setdefault(row.sensor, []).append(row)
     return {
-        "windows": {n: [round(float(t), 6) for t in windows[n]] for n in sorted(windows)},
+        "windows": {n: flow_sequence(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
         "sensors": {name: _used_and_rejected(part) for name, part in by_sensor.items()},
     }
 
@@ -258,12 +259,12 @@ def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
     rejected: dict[str, list[int]] = {}
     for row in rows:
         (used if row.used else rejected.setdefault(row.reason, [])).append(row.capture)
-    return {"used": list(used), "rejected": {why: list(n) for why, n in rejected.items()}}
+    return {"used": flow_sequence(used), "rejected": {why: flow_sequence(n) for why, n in rejected.items()}}
 
 
-def _symmetric(covariance: Array, digits: int) -> list[list[float | None]]:
+def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
     rows = (_round_digits(row, digits) for row in 0.5 * (covariance + covariance.T))
-    return [[None if np.isnan(value) else value for value in row] for row in rows]
+    return [flow_sequence(None if np.isnan(value) else value for value in row) for row in rows]
 
 
 def _cross_covariances(calibration: Calibration) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.io.text_writing import format_yaml
+from calgraph.io.text_writing import flow_sequence, format_yaml
 from calgraph.result.calibrated_cameras import find_intrinsics
 from calgraph.result.calibration import Calibration
 from calgraph.sensors import CameraModel
@@ -57,4 +57,4 @@ def to_camera_infos(calibration: Calibration, rig: Rig | None, cameras: Mapping[
 
 def _matrix(values: Array) -> dict[str, Any]:
     rows, columns = values.shape
-    return {"rows": rows, "cols": columns, "data": [float(value) for value in values.ravel()]}
+    return {"rows": rows, "cols": columns, "data": flow_sequence(float(value) for value in values.ravel())}

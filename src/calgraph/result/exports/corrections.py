@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from calgraph.errors import InputError
-from calgraph.io.text_writing import format_yaml
+from calgraph.io.text_writing import flow_sequence, format_yaml
 from calgraph.result.calibration import Calibration
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
@@ -51,8 +51,8 @@ def _describe(one: Correction, frame_id: str) -> dict[str, Any]:
             _describe_parameter(parameter, border)
             for parameter, border in zip(learned.parameters, borders, strict=True)
         ],
-        "covariance": [list(map(_round, row)) for row in learned.covariance],
-        "mostly_prior": [p.quantity for p in one.parameters if p.quantity not in kept],
+        "covariance": [flow_sequence(map(_round, row)) for row in learned.covariance],
+        "mostly_prior": flow_sequence(p.quantity for p in one.parameters if p.quantity not in kept),
     }
 
 

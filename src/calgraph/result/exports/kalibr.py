@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.io.text_writing import format_yaml
+from calgraph.io.text_writing import flow_sequence, format_yaml
 from calgraph.result.calibrated_cameras import find_intrinsics
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import format_coordinate
@@ -42,7 +42,7 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
     names, specs = list(models), rig.cameras() if rig else {}
     chain: dict[str, Any] = {}
     for index, name in enumerate(names):
-        entry: dict[str, Any] = {"cam_overlaps": [i for i in range(len(names)) if i != index]}
+        entry: dict[str, Any] = {"cam_overlaps": flow_sequence(i for i in range(len(names)) if i != index)}
         if index > 0:
             entry["T_cn_cnm1"] = _matrix(calibration.transform(name, names[index - 1]))
         entry |= _intrinsics(name, models[name])
@@ -63,7 +63,7 @@ def to_single_camchain(name: str, camera: CameraModel, topic: str) -> str:
     Raises:
         InputError: its model is more than half a pixel off any kind that Kalibr has.
     """
-    entry = {"cam_overlaps": [], **_intrinsics(name, camera), "rostopic": topic}
+    entry = {"cam_overlaps": flow_sequence([]), **_intrinsics(name, camera), "rostopic": topic}
     return format_yaml({"cam0": entry}, f"Kalibr camchain, intrinsics estimated by calgraph.\ncam0: {name!r}")
 
 
@@ -72,10 +72,10 @@ def _intrinsics(name: str, camera: CameraModel) -> dict[str, Any]:
     model, coefficients = _distortion(name, camera)
     return {
         "camera_model": "pinhole",
-        "distortion_coeffs": list(coefficients),
+        "distortion_coeffs": flow_sequence(coefficients),
         "distortion_model": model,
-        "intrinsics": [float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
-        "resolution": [camera.width, camera.height],
+        "intrinsics": flow_sequence(float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])),
+        "resolution": flow_sequence([camera.width, camera.height]),
     }
 
 
@@ -106,4 +106,4 @@ def _fit_radtan(name: str, camera: CameraModel) -> list[float]:
 
 
 def _matrix(T: Array) -> list[Any]:
-    return [[float(format_coordinate(value)) for value in row] for row in T]
+    return [flow_sequence(float(format_coordinate(value)) for value in row) for row in T]
