@@ -27,7 +27,7 @@ _BROKEN_PIPE = 128 + 13
 # default, they take a tenth of it. At some 100 bytes an object, these are 5 MB.
 _ALLOCATIONS_PER_COLLECTION = 50_000
 # mallopt(3): bytes of freed memory at the end of the heap that are kept, and of an array that has separate memory.
-# By default, glibc returns arrays above 128 kB to the system, which clears the memory of the next one: 150,000 page
+# By default, glibc returns arrays above 128 kB to the system, which clears memory for the next one: 150,000 page
 # faults, half a second, in a rig's calibration. The most memory in use stays the same.
 _MALLOC_SETTINGS = {-1: 64 * 2**20, -3: 16 * 2**20}
 

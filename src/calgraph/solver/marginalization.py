@@ -32,7 +32,7 @@ def marginalize_bias(information: Array, gradient: Array, cost: Array, prior: Ar
     P = compute_bias_covariance(to_bias[:, :n], prior)
     shift = (P @ b_bias[..., None])[..., 0]
     return (
-        A - to_bias @ (P @ A[:, :n]),  # A is symmetric: its rows are faster than a transposed to_bias
+        A - to_bias @ P @ se_n.transpose(to_bias),
         b - (to_bias @ shift[..., None])[..., 0],
         cost - 0.5 * np.sum(b_bias * shift, axis=-1),
     )
