@@ -76,10 +76,10 @@ class MotionStart:
     space, where turns about two axes determine the rotation."""
     axis: Array | None = None
     """(3,) about which alone the root turned, in its frame, where the pose is at no height along it."""
-    open_height: bool = False
-    """Whether it has no height along ``axis`` from a floor or ceiling that both measured."""
     by_boards: bool = False
     """Whether the clock is that of motions before boards, which turn rates show poorly."""
+    open_height: bool = False
+    """Whether it has no height along ``axis`` from a floor or ceiling that both measured."""
 
     def relative_to(self, other: "MotionStart") -> "MotionStart":
         """The start against another sensor, from those of both against the root."""
