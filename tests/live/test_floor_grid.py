@@ -44,7 +44,7 @@ def build(
     tracked: dict[str, ScannerTracks | Rejected], unfinished: Collection[str] = (), *, connected: int = 2
 ) -> FloorGrid | None:
     sensors = tuple(
-        SensorPose(name, None, name, "lidar2d", se2.to_se3(T), Verdict("good"))
+        SensorPose(name, None, name, "lidar2d", se2.to_se3(T), Verdict("weak" if name in unfinished else "good"))
         for name, T in list(POSES.items())[:connected]
     )
     apart = {name: found.reason for name, found in tracked.items() if isinstance(found, Rejected)}
@@ -53,7 +53,7 @@ def build(
         evidence=Evidence(unconnected=apart),
         pictures=Pictures(floor_views=tuple(draw(one.name, tracked[one.name]) for one in sensors)),
     )  # fmt: skip
-    return build_floor_grid(calibration, unfinished)
+    return build_floor_grid(calibration)
 
 
 def draw(name: str, found: ScannerTracks | Rejected) -> FloorView:

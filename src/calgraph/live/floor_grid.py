@@ -40,16 +40,8 @@ _MAX_CELLS = 80
 _MAX_WALL_POINTS = 1400
 
 
-def build_floor_grid(calibration: Calibration, unfinished: Collection[str]) -> FloorGrid | None:
-    """The floor in the views of the connected sensors.
-
-    Args:
-        calibration: of the network, with its floor views.
-        unfinished: connected sensors that are not within tolerance.
-
-    Returns:
-        The cells; None as long as no sensors are connected.
-    """
+def build_floor_grid(calibration: Calibration) -> FloorGrid | None:
+    """The floor in the views of the connected sensors of a network; None as long as there are none."""
     views = calibration.pictures.floor_views
     if len(views) < 2:
         return None
@@ -67,6 +59,7 @@ def build_floor_grid(calibration: Calibration, unfinished: Collection[str]) -> F
         view.sensor: _find_observed_cells(T, view, x.reshape(-1, 2)).reshape(shape)
         for T, view in zip(poses, views, strict=True)
     }
+    unfinished = [name for name in observed if calibration[name].verdict.grade != "good"]
     return FloorGrid(
         low,
         cell,

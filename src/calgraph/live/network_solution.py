@@ -103,7 +103,7 @@ def _solve_in_space(rig: Rig, recording: Recording, begin: float) -> LiveNetwork
     )
     return LiveNetworkSolution(
         scanners,
-        build_floor_grid(calibration, _find_unfinished(scanners)) if calibration else None,
+        build_floor_grid(calibration) if calibration else None,
         recording.start,
         end,
         recorded,
@@ -145,7 +145,7 @@ def _solve(rig: Rig, recording: Recording, last: LiveNetworkSolution | None, beg
     scanners = tuple(_add_tracks(one, tracked[one.name]) for one in describe_sensors(rig, calibration))
     return LiveNetworkSolution(
         scanners,
-        build_floor_grid(calibration, _find_unfinished(scanners)) if calibration else None,
+        build_floor_grid(calibration) if calibration else None,
         recording.start,
         rest.end if rest else progress.until or recording.start,
         progress.duration + (rest.duration if rest else 0.0),
@@ -155,11 +155,6 @@ def _solve(rig: Rig, recording: Recording, last: LiveNetworkSolution | None, beg
         problem,
         calibration.further_remarks if calibration else (),
     )
-
-
-def _find_unfinished(scanners: tuple[SensorSolution, ...]) -> tuple[str, ...]:
-    """Names of the connected scanners that are not within tolerance."""
-    return tuple(one.name for one in scanners if one.T_root_sensor is not None and one.grade != "good")
 
 
 def _add_tracks(scanner: SensorSolution, found: ScannerTracks | Rejected) -> SensorSolution:
