@@ -8,11 +8,40 @@ import pytest
 from calgraph.config import Rig
 from calgraph.drive.audit import compare_drive_extrinsics
 from calgraph.drive.options import DriveOptions
-from calgraph.geometry import se3, so3
+from calgraph.drive.pipeline import calibrate_drive
+from calgraph.geometry import se2, se3, so3
 from calgraph.recording import MessageRecording
 from calgraph.result import ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
-from drive_scenes import scan_drive
+from calgraph.sensors import Pose
+from drive_scenes import drive, scan_drive
+
+
+@pytest.mark.slow
+def test_odometry_of_wheels_shows_how_far_a_scanner_is_to_the_side() -> None:
+    """0.3 m to the left of the axle; the odometry is of base_link, and exports have that frame once."""
+    messages = scan_drive({"front": se3.pose(np.eye(3), np.array([0.2, 0.3, 0.0]))}, 32.0)
+    times = np.arange(0.0, 32.0, 0.05)
+    path = se2.to_se3(drive(times, 2))
+    messages["/odom"] = [
+        Pose(float(t), "base_link", T[:3, 3], so3.quaternion(T[:3, :3])) for t, T in zip(times, path, strict=True)
+    ]
+    odometry = {"kind": "trajectory", "topic": "/odom", "frame_id": "base_link"}
+    rig = Rig.model_validate(
+        {
+            "root": "front",
+            "target": {"kind": "surroundings"},
+            "base": {"wheels": "odom"},
+            "sensors": {"front": {"kind": "lidar2d", "topic": "/front"}, "odom": odometry},
+        }
+    )
+    calibration = calibrate_drive(rig, MessageRecording(messages), DriveOptions())
+    base = calibration.base
+    assert base is not None
+    assert base.T_base_root[1, 3] == pytest.approx(0.3, abs=0.01)
+    assert abs(base.T_base_root[1, 3] - 0.3) < 3 * np.sqrt(base.covariance[1, 1])
+    assert "y of front" not in base.verdict.reason
+    assert calibration["odom"].frame_id == "odom"
 
 
 @pytest.mark.slow

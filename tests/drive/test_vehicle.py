@@ -239,7 +239,7 @@ def test_curves_to_one_side_leave_the_side_as_uncertain_as_the_radius_of_wheels(
     chords = join_chords(
         base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3), measure_wheels(base, 1.03)
     )
-    side, variance = fit_side(chords, T_BASE_ROOT)
+    side, variance, _ = fit_side(chords, T_BASE_ROOT)
     assert abs(side - T_BASE_ROOT[1, 3]) < 2 * np.sqrt(variance)
     assert np.sqrt(variance) == pytest.approx(0.2, rel=0.1)
 
@@ -256,6 +256,11 @@ def test_wheels_have_a_clock_and_gaps() -> None:
     assert not isinstance(found, Rejected)
     assert np.isfinite(found.covariance).all()
     assert abs(se3.difference(found.T_base_root, T_BASE_ROOT)[1]) < 3e-3
+    assert found.wheel_error < 0.01
+    other = Wheels(0, Segments([Track(track.times, wander(60.0, rng)[:400])]))
+    contradicted = locate_root(drive, wheels=other)
+    assert not isinstance(contradicted, Rejected)
+    assert contradicted.wheel_error > 0.3
 
 
 def test_the_root_may_be_another_sensor_than_that_of_the_trajectory() -> None:

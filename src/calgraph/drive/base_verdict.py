@@ -13,6 +13,8 @@ from calgraph.geometry import se3
 from calgraph.result import BaseFrame, Verdict
 from calgraph.verdict.grades import grade_pose
 
+# Error of wheels in 2.4 s from which they contradict the trajectory, m: tyres slip by half a per cent.
+_MAX_WHEEL_ERROR = 0.1
 _ADVICE = "drive for a minute on a level floor, with curves to both sides and straight parts"
 
 
@@ -51,8 +53,14 @@ def assess_base(
         f"y of {rig.root} in {base.frame} is not observable from a drive without {missing}: "
         "measure it, and state base.y"
     )
+    reasons = [open_side] if np.isnan(t[1]) else []
+    if found.wheel_error > _MAX_WHEEL_ERROR:
+        reasons.append(
+            f"distances of {base.wheels} and of the root differ by {found.wheel_error:.1f} m in 2.4 s: odometry "
+            "of one lost its way, or wheels slipped; drive slower, where walls and furniture are near"
+        )
     verdict = grade_pose(
-        base.frame, rig.sensors[rig.root].kind, np.eye(4), covariance, [open_side] if np.isnan(t[1]) else [],
+        base.frame, rig.sensors[rig.root].kind, np.eye(4), covariance, reasons,
         tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
         data="motions", advice=_ADVICE,
     )  # fmt: skip

@@ -91,6 +91,8 @@ class VehiclePose:
     """(4, 4); 0 for what the covariance does not have."""
     covariance: Array
     """(6, 6) in the axes of the vehicle, m and rad; NaN for what was not measured, as y without wheels."""
+    wheel_error: float = 0.0
+    """Robust standard deviation of the wheels' distance during a chord, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +143,13 @@ def locate_root(
         moved = fit_pose(measure(*_move(adjusted, step), places))
         by_state[:, k] = 0.0 if isinstance(moved, Rejected) else se3.difference(moved, pose) / step[k]
     covariance += by_state @ adjusted.covariance @ by_state.T
-    covariance[1, 1] += fit_side(chords, pose)[1]
+    _, variance, wheel_error = fit_side(chords, pose)
+    covariance[1, 1] += variance
     planar = adjusted.parts[0].points[0].points.shape[1] == 2
     turned = [one.turned(pose) > _MIN_TURN for one in (chords, chords.select(chords.have_wheels))]
     known = np.array([*turned, *[not planar] * 3, True])
     covariance[~known], covariance[:, ~known] = np.nan, np.nan
-    return VehiclePose(se3.pose(pose[:3, :3], np.where(known[:3], pose[:3, 3], 0.0)), covariance)
+    return VehiclePose(se3.pose(pose[:3, :3], np.where(known[:3], pose[:3, 3], 0.0)), covariance, wheel_error)
 
 
 def _floor_covariance(chords: "Chords") -> Array:
@@ -328,15 +331,18 @@ def fit_pose(chords: Chords, max_slip: float = _SLIP) -> Array | Rejected:
     angle, x = fitted
     R_root_base = R @ so3.exp(np.array([0.0, 0.0, angle]))
     pose = se3.pose(R_root_base.T, np.array([-x, 0.0, height]))
-    pose[1, 3], _ = fit_side(chords, pose)
+    pose[1, 3] = fit_side(chords, pose)[0]
     return np.asarray(pose)
 
 
-def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float]:
-    """The root's y by the wheels, m, 0 without them, and its variance by their radius and its difference, m²."""
+def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float, float]:
+    """The root's y by the wheels, m, its variance by their radius and its difference, m²; and the error of chords.
+
+    0 without wheels.
+    """
     used = chords.select(chords.have_wheels)
     if not len(used.block):
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     ahead, up, height = T_base_root[0, :3], T_base_root[2, :3], T_base_root[2, 3]
     shift = (used.shift - np.cross(used.turn, height * up)).sum(axis=1) @ ahead
     travelled, turn = used.travelled.sum(axis=(1, 2)), used.turn.sum(axis=1) @ up
@@ -349,7 +355,7 @@ def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float]:
         error = longer - B @ solution
         scale = max(STDDEV_PER_MAD * float(np.median(np.abs(error))), 1e-5)
         weight = (1 + (error / (_FAR * scale)) ** 2) ** -2.0
-    return float(solution[1]), float((inverse[1, 0] * prior * _WHEEL_SCALE) ** 2) + _SIDE_STDDEV**2
+    return float(solution[1]), float((inverse[1, 0] * prior * _WHEEL_SCALE) ** 2) + _SIDE_STDDEV**2, scale
 
 
 def _fit_level(level: Array, acceleration: Array) -> tuple[Array, float]:
