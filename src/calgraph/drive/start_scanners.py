@@ -1,8 +1,4 @@
-"""Places of sensors on a robot with a 3-D LiDAR: where their points are on the surfaces that it measured.
-
-Motions of 2-D scanners do not show their height, roll and pitch, those of LiDARs on a robot that turned about one
-axis only not their height.
-"""
+"""Places of 2-D scanners on a robot with a 3-D LiDAR: where their points are on the surfaces that it measured."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,8 +24,6 @@ _MAX_THICKNESS = 0.1
 # Heights, m, tilts about each axis and turns, rad, from the start by motions that are tried: scanners are mounted
 # level to some degrees, and motions of 30 s show where they look to 0.1 rad.
 _HEIGHTS, _TILTS, _TURNS = (-0.8, -0.4, 0.0, 0.4, 0.8), (-0.1, 0.0, 0.1), (-0.15, 0.0, 0.15)
-# Of LiDARs, whose rotation motions show, m.
-_LIDAR_HEIGHTS = tuple(np.arange(-1.6, 1.61, 0.2).tolist())
 # Of the place, m, and the rotation, rad, from these.
 _STDDEV = np.repeat([1.0, 0.2], 3)
 # Scales of the robust weight in each Gauss–Newton step, m (Geman–McClure).
@@ -40,7 +34,7 @@ def place_scanners(
     starts: Mapping[str, MotionStart | Rejected], lead: str, tracks: Mapping[str, Segments | Rejected],
     sources: Mapping[str, Source], rng: np.random.Generator,
 ) -> dict[str, MotionStart | Rejected]:  # fmt: skip
-    """The starts with what motions do not show: heights and tilts of 2-D scanners, open heights of LiDARs.
+    """The starts with heights and tilts of 2-D scanners, which motions in their plane do not show.
 
     Args:
         starts: by sensor, against the one that leads.
@@ -53,12 +47,7 @@ def place_scanners(
     placed = dict(starts)
     for name, start in starts.items():
         scanner = sources[name]
-        if isinstance(start, Rejected) or not isinstance(scanner, LidarSource):
-            continue
-        if start.open_height and isinstance(root, LidarSource) and isinstance(along, Segments):
-            moves = [(height, 0.0, 0.0, 0.0) for height in _LIDAR_HEIGHTS]
-            placed[name] = _place(start, moves, scanner, root, along.tracks[0], rng)
-        if not scanner.flat_in_space:
+        if isinstance(start, Rejected) or not (isinstance(scanner, LidarSource) and scanner.flat_in_space):
             continue
         if not (isinstance(root, LidarSource) and isinstance(along, Segments) and start.axis is not None):
             placed[name] = Rejected(
@@ -70,8 +59,7 @@ def place_scanners(
                 "drive over ramps, too"
             )
         else:
-            moves = list(product(_HEIGHTS, _TILTS, _TILTS, _TURNS))
-            placed[name] = _place(start, moves, scanner, root, along.tracks[0], rng)
+            placed[name] = _place(start, start.axis, scanner, root, along.tracks[0], rng)
     return placed
 
 
@@ -82,20 +70,16 @@ def _turns_about_one_axis(along: Segments) -> bool:
 
 
 def _place(
-    start: MotionStart, moves: Sequence[tuple[float, float, float, float]], sensor: LidarSource,
-    root: LidarSource, track: Track, rng: np.random.Generator,
-) -> MotionStart:  # fmt: skip
-    """The best of the poses that a start is moved to: up, about two axes across, and about the axis."""
-    assert start.axis is not None
-    up = start.axis
+    start: MotionStart, up: Array, scanner: LidarSource, root: LidarSource, track: Track, rng: np.random.Generator
+) -> MotionStart:
     mapped = _join([thin_sweep(sweep, _MAPPED_POINTS, rng) for sweep in root.sweeps])
     world = se_n.apply(track.at(mapped.times), mapped.points[:, None])[:, 0]
     surfaces = fit_flat_cells(sum_moments(world, CELL_LIMITS[3].cell), CELL_LIMITS[3], _MAX_THICKNESS)
-    measured = thin_sweep(_join(sensor.sweeps), _PLACED_POINTS, rng)
+    measured = thin_sweep(_join(scanner.sweeps), _PLACED_POINTS, rng)
     T_world_root = track.at(measured.times - start.clock_offset)
     across = plane.tangent_basis(up)
     found = []
-    for height, a, b, turn in moves:
+    for height, a, b, turn in product(_HEIGHTS, _TILTS, _TILTS, _TURNS):
         T = se_n.retract(start.T_root_sensor, np.concatenate([height * up, across @ [a, b] + turn * up]))
         found.append(_fit(T, T_world_root, measured.points, surfaces))
     return replace(start, T_root_sensor=min(found, key=lambda one: one[1])[0])

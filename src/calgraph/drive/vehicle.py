@@ -350,6 +350,7 @@ def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float, float]:
     scale, weight = 0.01, np.ones(len(turn))
     for _ in range(20):
         prior = (scale / _WHEEL_SCALE) ** 2
+        # The second keeps it regular where the vehicle did not turn: y is not known there.
         inverse = np.linalg.inv((B * weight[:, None]).T @ B + np.diag([prior, 1e-12]))
         solution = inverse @ (B * weight[:, None]).T @ longer
         error = longer - B @ solution
