@@ -42,7 +42,8 @@ def test_outliers_of_pairs_that_agree_with_the_bundle_return(detected: DetectedR
     by_sensor = detected.captures.detections
     shared = {c for name in by_sensor if name != sensor for c in by_sensor[name]}
     missing = {(c, sensor, 0) for c in EXCLUDED if c in by_sensor[sensor] and c in shared}
-    assert missing <= joint.returned
+    assert joint.used is not None
+    assert missing <= joint.used
     complete = detected.solve()
     assert joint.solved_bundle is not None
     assert complete.solved_bundle is not None
@@ -66,8 +67,7 @@ def test_outliers_that_contradict_the_bundle_stay_out(detected: DetectedRig) -> 
         return detection
 
     joint = solve_without(detected.map_detections(slip), "camera", EXCLUDED)
-    returned = {capture for capture, name, _ in joint.returned if name == "camera"}
-    assert returned == (set(EXCLUDED) - set(slipped)) & set(by_capture)
+    assert {capture for capture, name in joint.rejected if name == "camera"} == set(slipped) & set(by_capture)
 
 
 def test_ambiguous_detections_do_not_return(detected: DetectedRig) -> None:
@@ -78,7 +78,8 @@ def test_ambiguous_detections_do_not_return(detected: DetectedRig) -> None:
     }
     captures = replace(detected.captures, detections=by_sensor)
     joint = solve_without(replace(detected, captures=captures), "lidar", EXCLUDED)
-    assert not [node for node in joint.returned if node[1] == "lidar"]
+    assert joint.used is not None
+    assert not [capture for capture, name, _ in joint.used if name == "lidar" and capture in EXCLUDED]
 
 
 def test_priors_have_tails(detected: DetectedRig) -> None:

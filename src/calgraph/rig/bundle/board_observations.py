@@ -1,6 +1,6 @@
 """From matched detections to board observations: the sensors that detected one board, and its initial pose."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,11 +47,6 @@ def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]
     for node, n in nodes.items():
         components.setdefault(int(labels[n]), []).append((int(links[n]), node))
     return sorted(map(_select_detections, components.values()), key=lambda o: o.capture)
-
-
-def detected_nodes(boards: Iterable[BoardObservation]) -> set[Node]:
-    """All detections of boards."""
-    return {(board.capture, name, k) for board in boards for name, k in board.detection_index.items()}
 
 
 def _select_detections(members: Sequence[tuple[int, Node]]) -> BoardObservation:

@@ -13,7 +13,6 @@ from calgraph.rig.bundle.board_observations import (
     BoardObservation,
     Node,
     add_unambiguous_detections,
-    detected_nodes,
     group_detections,
     locating_sensors,
 )
@@ -39,13 +38,13 @@ class SettledBundle:
     boards: Sequence[BoardObservation]
     """(C,) as detected, with views that are not kept."""
 
-    def nodes(self) -> set[Node]:
+    def nodes(self) -> frozenset[Node]:
         """The detections that are kept."""
-        return {
+        return frozenset(
             (self.boards[i].capture, name, self.boards[i].detection_index[name])
             for name, views in zip(self.bundle.sensors, self.bundle.views, strict=True)
             for i in views.board.tolist()
-        }
+        )
 
 
 # Rounds of solving, estimating noise and rejecting views, without outlines: of 38 rigs of the frozen corpus, 32
@@ -130,7 +129,9 @@ def solve_bundle(
         located = [name for name in T_root_sensor if name in paired]
         boards = add_unambiguous_detections(matched, captured.detections, located)
     settled = _settle(rig, captured, boards, T_root_sensor)
-    inliers, used = detected_nodes(matched), settled.nodes()
+    used = settled.nodes()
+    views = {(capture, name) for capture, name, _ in used}
+    judged = sorted({(board.capture, name) for board in boards for name in board.detection_index})
     bundle, solution = _solve_with_outlines(settled, rig, captured)
     # Priors enter last: an error of theirs must not increase the estimated noise.
     bundle = with_priors(bundle, priors, groups)
@@ -143,14 +144,16 @@ def solve_bundle(
         joint_covariance=pose_covariance(bundle, solution.state, solution.equations),
         residuals=dict(_residuals_by_sensor(bundle, solution)),
         converged=solution.converged,
-        rejected={(capture, name): _OUTLIER_VIEW for capture, name, _ in sorted(inliers - used)},
-        returned=frozenset(used - inliers),
+        used=used,
+        rejected=dict.fromkeys([view for view in judged if view not in views], _OUTLIER_VIEW),
         noise={
             name: MeasuredNoise(views.noise_scale, *np.sqrt(variances).tolist())
             for name, views, variances in zip(names, bundle.views, bundle.bias_variance[: len(names)], strict=True)
         },
         systematic=summarize_systematic_parameters(bundle, solution.state, solution.equations),
-        solved_bundle=SolvedBundle(bundle, solution, np.array([board.capture for board in settled.boards])),
+        solved_bundle=SolvedBundle(
+            bundle, solution, np.array([board.capture for board in settled.boards]), boards
+        ),
     )
 
 

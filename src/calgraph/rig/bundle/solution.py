@@ -1,10 +1,11 @@
 """Results of the joint estimators of a rig."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from calgraph.geometry import Array, Index, diagonal_blocks
 from calgraph.result import EstimatedParameter
+from calgraph.rig.bundle.board_observations import BoardObservation, Node
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle
 
 
@@ -33,6 +34,8 @@ class SolvedBundle:
     minimized: MinimizedBundle
     captures: Index
     """(C,) the capture of each board."""
+    boards: Sequence[BoardObservation] = ()
+    """All unambiguous detections, outlier views included; in order of captures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +53,10 @@ class RigSolution:
     converged: bool
     remarks: tuple[str, ...] = ()
     """Observations that were not used, with the reason."""
+    used: frozenset[Node] | None = None
+    """The detections that were used; None for an estimator that uses the inliers of pairs."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
-    """By capture and sensor, why a detection was rejected although it was an inlier of a pair."""
-    returned: frozenset[tuple[int, str, int]] = frozenset()
-    """Capture, sensor and index of the detections that were used although no pair has them as inliers."""
+    """By capture and sensor, why none of the detections is used that the estimator judged."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
     """By sensor, where it was estimated."""
     systematic: tuple[EstimatedParameter, ...] = ()

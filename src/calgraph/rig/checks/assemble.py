@@ -227,7 +227,7 @@ def assemble_rig(
     settings = rig.settings.diagnostics.verdict
     connected = tree.T_root_sensor
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
-    used = {view: r for view, r in _used_residuals(estimates, solution).items() if view not in solution.rejected}
+    used = _used_residuals(estimates, solution)
     paired = {name for estimate in estimates for name in (estimate.sensor_a, estimate.sensor_b)}
     kinds = {name: rig.sensors[name].kind for name in connected}
     contradictions = find_contradictions(solution, rig, captures, held_out, drifts)
@@ -404,19 +404,19 @@ def _assemble_edge(
 
 
 def _used_residuals(estimates: Sequence[PairwiseEstimate], solution: RigSolution) -> InlierResiduals:
-    """By capture and sensor of inliers and returned detections: residuals of their matches, by candidate."""
-    inliers = {
-        end for pair in estimates for row in pair.matches[pair.inliers].tolist() for end in _ends(pair, row)
-    }
-    used: dict[tuple[int, str], dict[int, list[float]]] = {
-        (capture, name): {k: []} for capture, name, k in solution.returned
-    }
+    """By capture and sensor of the detections that are used: residuals of their matches, by candidate."""
+    nodes = solution.used
+    if nodes is None:
+        nodes = frozenset(end for e in estimates for row in e.matches[e.inliers].tolist() for end in _ends(e, row))
+    used: dict[tuple[int, str], dict[int, list[float]]] = {}
+    for capture, name, k in sorted(nodes):
+        used.setdefault((capture, name), {})[k] = []
     for pair in estimates:
-        for row, inlier, r in zip(pair.matches.tolist(), pair.inliers, pair.residuals.tolist(), strict=True):
+        for row, r in zip(pair.matches.tolist(), pair.residuals.tolist(), strict=True):
             ends = _ends(pair, row)
-            if inlier or ({*ends} & solution.returned and {*ends} <= inliers | solution.returned):
+            if nodes.issuperset(ends):
                 for capture, name, k in ends:
-                    used.setdefault((capture, name), {}).setdefault(k, []).append(r)
+                    used[capture, name][k].append(r)
     return used
 
 
@@ -437,7 +437,7 @@ def _assemble_row(
     """The use of one sensor in one capture; those paired have a relative pose to another sensor."""
     residual, reason = None, ""
     if (hold.index, name) in used:
-        # A returned detection has no match with a sensor of which RANSAC found no relative pose.
+        # A detection may have no match with a sensor of which RANSAC found no relative pose.
         if len(matched := np.concatenate(list(used[hold.index, name].values()))):
             residual = float(np.sqrt(np.mean(matched**2)))
     elif hold.index not in captures.detections[name]:

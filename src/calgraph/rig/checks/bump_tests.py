@@ -7,7 +7,6 @@ import numpy as np
 
 from calgraph.geometry import Index
 from calgraph.result.finding import Finding
-from calgraph.rig.bundle.board_observations import add_unambiguous_detections, group_detections
 from calgraph.rig.bundle.bundle_setup import rebuild_bundle
 from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
 from calgraph.rig.bundle.priors import without_priors
@@ -15,7 +14,6 @@ from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.pose_steps import PoseStep, find_pose_steps
-from calgraph.rig.pairs.board_pair import select_successful
 
 
 def find_bumps(problem: Problem, solution: RigSolution) -> tuple[PoseStep, ...]:
@@ -45,14 +43,11 @@ def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, 
 
     Variances are those of the solved bundle.
     """
-    names = solved.bundle.sensors
-    pairs = [e for e in select_successful(problem.pairs) if e.sensor_a in names and e.sensor_b in names]
-    inliers = group_detections([(pair, pair.inliers) for pair in pairs])
-    boards = add_unambiguous_detections(inliers, problem.captures.detections, names)
+    boards, state = solved.boards, solved.minimized.state
     without_outlines = without_priors(_remove_outlines(solved.bundle))
-    state = solved.minimized.state
     if sum(len(board.detection_index) for board in boards) == sum(len(v.board) for v in solved.bundle.views):
-        bundle, captures, cache = without_outlines, solved.captures, solved.minimized.equations.cache[: len(names)]
+        bundle, captures = without_outlines, solved.captures
+        cache = solved.minimized.equations.cache[: len(bundle.views)]
     else:
         bundle, state = rebuild_bundle(problem.rig, problem.captures, boards, without_outlines, state)
         bundle = without_priors(bundle)
