@@ -7,10 +7,11 @@ python benchmarks/efficiency.py --systematic drawn             # systematic erro
 The RMSE of an efficient estimator over the bound is 1 up to chance. With consistent covariances, so is the NEES
 per degree of freedom. ``ideal`` is one Gauss–Newton step from the ground truth with the true noise: no estimator
 is better, and its errors share the noise of the others'. ``pairwise`` is the start along the spanning tree.
-How long estimators take is in times.py.
+A pose should be good where its bound is within the tolerance: the last line counts those of the bundle that are
+not, or that a remark names. How long estimators take is in times.py.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import get_args
@@ -30,6 +31,7 @@ from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import GroundTruth, RigScenario, World, build_world
+from calgraph.verdict.grades import grade_pose
 from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_draws import draw_errors
 from rig_errors import ModelErrors
@@ -60,6 +62,10 @@ class Row:
     """and squared Mahalanobis distance by the bound,"""
     nees: float
     """and by the stated covariance, both per degree of freedom."""
+    reachable: bool
+    """Whether the bound is within the tolerance;"""
+    good: bool
+    """and whether the pose is good, without a remark."""
 
 
 def main() -> None:
@@ -97,8 +103,12 @@ def measure(captures: int, systematic: str, world: int, run: int, estimators: st
     problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(run))
     rows = []
     for estimator in estimators.split():
-        poses, covariances = (ideal, bounds) if estimator == IDEAL else solve(problem, estimator)
+        poses, covariances, good = (ideal, bounds, set()) if estimator == IDEAL else solve(problem, estimator)
         for sensor, bound in bounds.items():
+            kind, T = rig.sensors[sensor].kind, truth.T_root_sensor[sensor]
+            verdict = grade_pose(
+                sensor, kind, T, bound, tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict
+            )
             off = np.full(6, np.nan)
             if sensor in poses:
                 off = se3.difference(poses[sensor], truth.T_root_sensor[sensor])
@@ -107,19 +117,39 @@ def measure(captures: int, systematic: str, world: int, run: int, estimators: st
                 for one in (bound, covariances.get(sensor, np.eye(6) * np.nan))
             )
             relative = off / np.sqrt(np.diag(bound))
+            judged = verdict.grade == "good", sensor in good
             rows.append(
-                Row(captures, systematic, world, run, estimators, estimator, sensor, relative, squared, nees)
+                Row(
+                    captures,
+                    systematic,
+                    world,
+                    run,
+                    estimators,
+                    estimator,
+                    sensor,
+                    relative,
+                    squared,
+                    nees,
+                    *judged,
+                )
             )
     return rows
 
 
-def solve(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Mapping[str, Array]]:
-    """``T_root_sensor`` by sensor, and covariances (6, 6) where the estimator states them."""
+def solve(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Mapping[str, Array], Set[str]]:
+    """``T_root_sensor`` by sensor; covariances (6, 6) where the estimator states them; and the good sensors.
+
+    Good are those that no remark names, too; with a remark that names none of them, no sensor is.
+    """
     if estimator == "pairwise":
-        return problem.tree.T_root_sensor, {}
+        return problem.tree.T_root_sensor, {}, set()
     solver = SolverOptions.model_validate({**problem.solver.model_dump(), "estimator": estimator, "folds": 0})
     calibration = solve_problem(replace(problem, solver=solver))
-    return poses_of(calibration), {sensor.name: sensor.covariance for sensor in calibration.sensors}
+    remarks = calibration.evidence.remarks
+    remarked = {s.name for s in calibration.sensors if any(s.name in remark for remark in remarks)}
+    good = {s.name for s in calibration.sensors if s.verdict.grade == "good"} - remarked
+    covariances = {sensor.name: sensor.covariance for sensor in calibration.sensors}
+    return poses_of(calibration), covariances, good if remarked or not remarks else set()
 
 
 def locate_boards(captured: CaptureSet, truth: GroundTruth) -> dict[int, Array]:
@@ -173,6 +203,9 @@ def show(rows: Sequence[Row]) -> None:
         together = float(np.sqrt(mean([row.squared for row in group])))
         lost = sum(bool(np.isnan(row.squared)) for row in group)
         print(TABLE.line(*label, lost, *axes, together, mean([row.nees for row in group])))
+    reachable = [row for row in rows if row.reachable and row.estimator == "bundle"]
+    missed = len(reachable) - sum(row.good for row in reachable)
+    print(f"{len(reachable)} poses whose bound is within the tolerance; {missed} of them weak or remarked")
 
 
 if __name__ == "__main__":
