@@ -298,7 +298,7 @@ def linearize_bundle(
     """
     equations, costs, linearizations = [], [], []
     for k, views in enumerate(bundle.all_views):
-        bias, (T_sensor_board, extra) = bundle.bias_variances(k), _view_state(bundle, state, k)
+        bias, (T_sensor_board, extra) = bundle.bias_variances(k), view_state(bundle, state, k)
         cached = cache[k] if cache else None
         at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
         if not (cached and at):
@@ -388,7 +388,7 @@ def minimize_bundle(
         refine=refine if exact else None,
     )
     minimum = run(linearize=linearize)
-    defined = (one.is_defined(*_view_state(bundle, minimum.state, k)) for k, one in enumerate(bundle.all_views))
+    defined = (one.is_defined(*view_state(bundle, minimum.state, k)) for k, one in enumerate(bundle.all_views))
     if (exact and not minimum.converged) or not all(defined):
         # Extrapolation keeps robust weights: its steps may lead off the minimum, or boards out of a camera's view.
         minimum = run(linearize=lambda state, _: linearize_bundle(bundle, state))
@@ -397,7 +397,7 @@ def minimize_bundle(
     return MinimizedBundle(minimum.state, minimum.linearization, minimum.iterations, minimum.converged)
 
 
-def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+def view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
     """The poses (V, 4, 4) of boards before the sensor of views k, and its extra parameters (e,)."""
     T_root_sensor, board = state.T_root_sensor[bundle.sensor_of(k)], bundle.all_views[k].board
     return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]

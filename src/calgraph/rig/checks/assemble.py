@@ -32,10 +32,10 @@ from calgraph.result import (
 from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import Node
+from calgraph.rig.bundle.bundle_solver import view_state
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import prior_error_derivatives
 from calgraph.rig.bundle.error_sources import DRIFT, split_covariance
-from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import frame_id
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -125,16 +125,14 @@ def _views_of_bundle(solution: RigSolution) -> Iterator[BoardView]:
     for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         if not len(views.board):  # its pose is a prior
             continue
-        T_sensor_board = relative_poses(state.T_root_sensor[s], state.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, state.extra[bundle.extra_indices(s)]).residual
+        T_sensor_board, extra = view_state(bundle, state, s)
+        errors = -views.unwhiten(views.linearize(T_sensor_board, extra).residual)
         if isinstance(views, CornerObservations):
-            measured, errors = views.pixels, -residual * views.noise_scale * views.noise.pixel
+            measured = views.pixels
         else:
             assert isinstance(views, RangeObservations)
-            count = np.diff(views.start, append=len(views.ranges))
-            normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
             measured = views.directions * views.ranges[:, None]
-            errors = -residual[:, 0] * views.sigma * np.abs(np.sum(normal * views.directions, axis=1))
+            errors = errors[:, 0] * views.incidence(T_sensor_board)
         parts = (np.split(values, views.start[1:]) for values in (measured, errors))
         for board, points, error in zip(views.board, *parts, strict=True):
             yield BoardView(int(solved.captures[board]), name, True, points, error)

@@ -21,7 +21,6 @@ from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.processes import forked_jobs
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
-from calgraph.rig.bundle.board_motions import velocity_along_sensor
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
@@ -33,11 +32,11 @@ from calgraph.rig.bundle.bundle_solver import (
     linearize_bundle,
     minimize_bundle,
     retract_state,
+    view_state,
 )
-from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.normal_equations import accumulate
-from calgraph.rig.bundle.observations import BoardViews, relative_poses
+from calgraph.rig.bundle.observations import BoardViews, velocity_along_sensor
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.solver.squared_distances import compute_squared_distances
@@ -92,10 +91,7 @@ def cross_validate(
     if folds < 2:
         raise InputError(f"`folds`: must be 0 for none, or 2 and more, got {folds}")
     bundle = solved.bundle
-    units: dict[str, Literal["px", "m"]] = {
-        name: "px" if isinstance(views, CornerObservations) else "m"
-        for name, views in zip(bundle.sensors, bundle.views, strict=True)
-    }
+    units = {name: views.unit for name, views in zip(bundle.sensors, bundle.views, strict=True)}
     fold_of = np.unique(solved.captures, return_inverse=True)[1] % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     given = Kept.of(solved)
@@ -172,8 +168,7 @@ def _compare_with_prediction(
         covariance: (G, G) of the sensors.
         sensor: the predicted one.
     """
-    views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
-    T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
+    views, (T_board, extra) = bundle.views[sensor], view_state(bundle, state, sensor)
     observed = accumulate(views.linearize(T_board, extra), views.start, HUBER_THRESHOLD)
     prior = [bundle.extra_parameters[i].prior_stddev for i in bundle.extra_indices(sensor)]
     # Systematic parameters are predicted at least as well as by their priors.
@@ -284,14 +279,11 @@ def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: fl
 
 def _error_sizes(views: BoardViews, T_sensor_board: Array, extra: Array) -> tuple[Array, Array]:
     """Distances (N,) in px between corners, or in m from the board's plane; and those along the beam, m."""
-    residual = views.linearize(T_sensor_board, extra).residual
-    if isinstance(views, CornerObservations):
-        return np.linalg.norm(residual, axis=1) * views.noise_scale * views.noise.pixel, np.zeros(0)
-    assert isinstance(views, RangeObservations)
-    along = residual[:, 0] * views.sigma
-    count = np.diff(views.start, append=len(views.ranges))
-    normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
-    return np.abs(along * np.sum(normal * views.directions, axis=1)), np.abs(along)
+    norm = np.linalg.norm(views.linearize(T_sensor_board, extra).residual, axis=1)
+    error = views.unwhiten(norm[:, None])[:, 0]
+    if isinstance(views, RangeObservations):
+        return error * views.incidence(T_sensor_board), error
+    return error, np.zeros(0)
 
 
 def _summarize(

@@ -375,7 +375,7 @@ def _predict_patches(
     views: RangeObservations, visible: Index, T_detected: Array, T_candidate: Array, size: tuple[float, float]
 ) -> RangeObservations:
     """Beams of a 3-D scanner over the whole board, of the density in solid angle of its recorded views."""
-    counts = np.diff(views.start, append=len(views.ranges))
+    counts = views.counts
     density = float(np.median(counts / _solid_angle(T_detected, size))) if len(counts) else 0.0
     steps = (np.arange(_GRID) + 0.5) / _GRID - 0.5
     x, y = np.meshgrid(size[0] * steps, size[1] * steps)
