@@ -334,7 +334,11 @@ def sum_views(
         H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board_A @ J
     cost = sum(costs, cost)
     for prior in bundle.priors:
-        cost += _add_sensor_prior(bundle, state, prior, H, g)
+        error, J = linearize_sensor_prior(bundle, state, prior)
+        cost += 0.5 * float(error @ prior.information @ error)
+        if len(columns := bundle.pose_columns(prior.sensor)):
+            H[np.ix_(columns, columns)] += J.T @ prior.information @ J
+            g[columns] += J.T @ prior.information @ error
     return BundleEquations(cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, (), 0.0)
 
 
@@ -448,15 +452,6 @@ def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, 
     information = weights * bundle.prior_stddev**-2
     tails = -np.log(weights) * bundle.prior_tail**2
     return 0.5 * float(np.sum(information * off**2 + tails)), np.diag(information), information * off
-
-
-def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H: Array, g: Array) -> float:
-    """Adds a sensor's prior to the normal equations, in place; returns its cost."""
-    error, J = linearize_sensor_prior(bundle, state, prior)
-    if len(columns := bundle.pose_columns(prior.sensor)):
-        H[np.ix_(columns, columns)] += J.T @ prior.information @ J
-        g[columns] += J.T @ prior.information @ error
-    return 0.5 * float(error @ prior.information @ error)
 
 
 def linearize_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior) -> tuple[Array, Array]:
