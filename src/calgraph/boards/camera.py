@@ -123,8 +123,7 @@ class CameraDetector:
         """The board by corners that another program detected, also in an image of its back."""
         printed = self._printed[0]
         found = [self._check_in_image(assign_corners(one, printed.board, printed.landmarks)) for one in messages]
-        noise = max(self._noise.pixel, MIN_MOTION_NOISE)
-        tolerance = OUTLIER_SIGMAS * noise
+        tolerance = OUTLIER_SIGMAS * max(self._noise.pixel, MIN_MOTION_NOISE)
         found = [marks for marks in found if len(marks)]
         if not found:
             return Rejected("no corner of the board was detected")
@@ -133,14 +132,13 @@ class CameraDetector:
             return marks
         corners = printed.landmarks.corners_of(marks.ids)
         mirrored = is_mirrored(corners[:, 0], marks.pixels[:, 0])
-        pose = fit_pose(
-            marks.ids, mirror(corners) if mirrored else corners, marks.pixels, self._camera, self._noise.pixel,
-
-        )  # fmt: skip
+        # A print on the back is one in the frame of a reader of that side, half a turn away.
+        as_read = corners * [-1.0, 1.0, 1.0] if mirrored else corners
+        pose = fit_pose(marks.ids, as_read, marks.pixels, self._camera, self._noise.pixel)
         if isinstance(pose, Rejected):
             return pose
         if mirrored:
-            pose = replace(pose, T_camera_board=turn_over(pose.T_camera_board))
+            pose = replace(pose, T_camera_board=pose.T_camera_board @ _TURN_OVER)
         return (make_board_corners(pose, corners, marks.pixels, printed.number),)
 
     def _check_in_image(self, marks: Marks) -> Marks:
@@ -172,12 +170,9 @@ class CameraDetector:
         detected = [one for one in results if isinstance(one, tuple)]
         if not detected:
             # The reason takes as long as the search, and only that of the first image is stated.
-            first = results[0]
-            return (
-                first
-                if isinstance(first, Rejected)
-                else Rejected(explain_missing(printed, marks_by_image[0], grays[0]))
-            )
+            if isinstance(first := results[0], Rejected):
+                return first
+            return Rejected(explain_missing(printed, marks_by_image[0], grays[0]))
         on_board = np.intersect1d(np.concatenate([marks.ids for marks in marks_by_image]), printed.landmarks.ids)
         if len(detected) == 1:
             return self._make_detection(printed, *detected[0], on_board)
@@ -328,13 +323,3 @@ def is_mirrored(corners: Array, pixels: Array) -> bool:
     affine = np.linalg.lstsq(A, pixels, rcond=None)[0][:2]
     # From the front, y is up on the board and down in the image.
     return bool(np.linalg.det(affine) > 0)
-
-
-def mirror(corners: Array) -> Array:
-    """Corners (..., 3) of a print on the back of the board, in the frame of a reader of that side."""
-    return corners * [-1.0, 1.0, 1.0]
-
-
-def turn_over(T_camera_back: Array) -> Array:
-    """``T_camera_board`` (4, 4) from the pose of the board's back, whose print is behind the one on its front."""
-    return np.asarray(T_camera_back @ _TURN_OVER)

@@ -65,9 +65,9 @@ class CheckerboardFinder:
                 continue
             corners, is_refined = _refine_corners(gray, lattice)
             is_seen = found.is_seen & is_refined
-            if is_seen.mean() < MIN_SEEN or not _is_regular(corners, _MAX_BEND):
+            if is_seen.mean() < MIN_SEEN or not _is_regular(corners):
                 corners, is_seen = lattice, found.is_seen
-            if _is_regular(corners, _MAX_BEND) and _is_bounded([gray, *images], corners):
+            if _is_regular(corners) and _is_bounded([gray, *images], corners):
                 return np.dstack([corners, is_seen])
         return None
 
@@ -135,14 +135,14 @@ class CharucoFinder:
         return empty_marks(1)
 
 
-def _is_regular(lattice: Array, max_bend: float) -> bool:
+def _is_regular(lattice: Array) -> bool:
     """Whether each corner (rows, columns, 2) is near the middle of its neighbours, in distances between these."""
     for axis in (0, 1):
         steps = np.diff(lattice, axis=axis)
         bends = np.linalg.norm(np.diff(steps, axis=axis), axis=-1)
         lengths = np.linalg.norm(steps, axis=-1)
         shorter = np.minimum(np.delete(lengths, 0, axis), np.delete(lengths, -1, axis))
-        if (bends > max_bend * shorter).any():
+        if (bends > _MAX_BEND * shorter).any():
             return False
     return True
 

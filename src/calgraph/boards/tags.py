@@ -6,7 +6,6 @@ again in rectified views: the image of a virtual camera without distortion that 
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -192,7 +191,7 @@ class GridFinder:
     """Finds the tags of Kalibr's grids, which have borders two bits wide and squares at their corners."""
 
     def __init__(self, family: Family) -> None:
-        self.family, self._windows = family, _SADDLE_WINDOWS
+        self.family = family
         parameters = cv2.aruco.DetectorParameters()
         parameters.markerBorderBits = 2
         self._detector = cv2.aruco.ArucoDetector(dictionary(FAMILIES[family]), parameters)
@@ -202,7 +201,7 @@ class GridFinder:
         corners, ids, _ = self._detector.detectMarkers(gray)
         if not len(corners):
             return empty_marks(4)
-        pixels = np.array([_refine_saddles(gray, np.reshape(c, (4, 2)), self._windows) for c in corners])
+        pixels = np.array([_refine_saddles(gray, np.reshape(c, (4, 2))) for c in corners])
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), pixels)
 
 
@@ -215,7 +214,7 @@ def _make_detector(family: Family) -> Any:
     return detector
 
 
-def _refine_saddles(gray: Gray, corners: NDArray[np.float32], windows: Sequence[float]) -> Array:
+def _refine_saddles(gray: Gray, corners: NDArray[np.float32]) -> Array:
     """Corners (4, 2) moved to the saddle points next to them.
 
     OpenCV's quadrilateral may be off by 3 % of its circumference, an eighth of an edge, where the squares touch
@@ -223,7 +222,7 @@ def _refine_saddles(gray: Gray, corners: NDArray[np.float32], windows: Sequence[
     """
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min()
     refined = corners.reshape(4, 1, 2).astype(np.float32)
-    for share in windows:
+    for share in _SADDLE_WINDOWS:
         reach = max(2, round(share * edge))
         cv2.cornerSubPix(gray, refined, (reach, reach), (-1, -1), _CRITERIA)
     return np.asarray(refined[:, 0], dtype=np.float64)

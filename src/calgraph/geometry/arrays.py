@@ -10,6 +10,11 @@ Index = NDArray[np.intp]
 STDDEV_PER_MAD = 1.4826
 
 
+def matvec(A: Array, x: Array) -> Array:
+    """Matrices (..., n, p) times vectors (..., p)."""
+    return np.asarray((A @ x[..., None])[..., 0])
+
+
 def measure_lengths(vectors: Array) -> Array:
     """Lengths (N,) of vectors (N, 3): those of ``numpy.linalg.norm``, bit for bit, in a quarter of its time.
 

@@ -1,7 +1,6 @@
 """Captures of a rig: when the board rests in a recording, and what every sensor detects of it then."""
 
 import logging
-from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
@@ -122,8 +121,9 @@ def _detect_in_timeline(
     cameras = resolved.camera_models() | intrinsics.cameras
     tags = options.select_method(rig.settings.published).tags
     method = DetectionMethod(cameras, draw_seeds(rig, rng), intrinsics.marks, tags, _select_plane_estimator(tags))
+    usable = {name: spec for name, spec in rig.sensors.items() if name not in intrinsics.failed}
     observations = detect_by_sensors(
-        _without(rig, intrinsics.failed), recording, timeline, holds, method,
+        rig.model_copy(update={"sensors": usable}), recording, timeline, holds, method,
         cache=options.cache, engine=options.engine, progress=partial(progress, "detecting"),
     )  # fmt: skip
     observations += [
@@ -144,13 +144,6 @@ def _detect_in_timeline(
         return captures
     untimed = find_untimed_scanners(rig, recording, timeline)
     return compensate_with_beam_times(rig, captures, untimed, np.random.default_rng(options.seed))
-
-
-def _without(rig: Rig, names: Collection[str]) -> Rig:
-    """The rig without some of its sensors."""
-    if not names:
-        return rig
-    return rig.model_copy(update={"sensors": {n: spec for n, spec in rig.sensors.items() if n not in names}})
 
 
 def separate_snapshots(rig: Rig, recording: Recording) -> Recording:

@@ -13,7 +13,7 @@ from calgraph.geometry import Array, se3
 from calgraph.recording import Recording, convert_images, resolve_intrinsics
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import ExtrinsicsFile, state_intrinsics
-from calgraph.rig.checks.next_best_pose import CAMERA_TO_SCANNER_AXES
+from calgraph.rig.checks.next_best_pose import axes_of
 from calgraph.sensors import CameraModel, Image, LaserScan, Message, PointCloud
 from calgraph.sensors.beam_pattern import BeamPattern, laser_pattern, multibeam_pattern
 from calgraph.sensors.kinds import KINDS
@@ -93,9 +93,7 @@ def describe_rig(rig: Rig, poses: ExtrinsicsFile | None = None, recording: Recor
 def _place_side_by_side(rig: Rig, names: list[str]) -> dict[str, Array]:
     """``T_root_sensor`` (4, 4) by sensor, in the order of the names, from left to right in that of rig.yaml."""
     T_body_sensor = {
-        name: se3.pose(
-            CAMERA_TO_SCANNER_AXES if KINDS[spec.kind].optical else np.eye(3), np.array([0.0, -_SPACING * i, 0.0])
-        )
+        name: se3.pose(axes_of(spec.kind), np.array([0.0, -_SPACING * i, 0.0]))
         for i, (name, spec) in enumerate(rig.sensors.items())
     }
     return {name: se3.inverse(T_body_sensor[rig.root]) @ T_body_sensor[name] for name in names}

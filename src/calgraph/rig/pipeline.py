@@ -153,17 +153,13 @@ def build_problem_from_captures(
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
     method = options.select_method(rig.settings.published)
-    start = _select_initialization(method.start)
-
-    def span_tree(pairs: PairwiseEstimates) -> SpanningTree:
-        return initialize_rig(rig.root, select_successful(pairs), start, rng, settings.max_stddev)
-
     pairs = estimate_pairs(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done),
         settings=settings, known=known,
     )  # fmt: skip
     rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0], options)
-    tree = span_tree(pairs)
+    start = _select_initialization(method.start)
+    tree = initialize_rig(rig.root, select_successful(pairs), start, rng, settings.max_stddev)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
     _log_pairs(pairs)
     solver = SolverOptions(estimator=method.estimator, keep=method.keep, folds=options.folds)
@@ -259,20 +255,17 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     """
     rig, captures, pairs, solver = problem.rig, problem.captures, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups))
-    tree = attach_by_priors(
-        problem.tree,
-        select_successful(pairs),
-        solver.priors,
-        solver.groups,
-        rig.settings.pairwise.board.max_stddev,
-    )
+    estimates, max_stddev = select_successful(pairs), rig.settings.pairwise.board.max_stddev
+    tree = attach_by_priors(problem.tree, estimates, solver.priors, solver.groups, max_stddev)
     if solver.estimator == "bundle":
         joint = solve_bundle(
-            rig, captures, select_successful(pairs), tree.T_root_sensor,
+            rig, captures, estimates, tree.T_root_sensor,
             keep=solver.keep, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
-        joint = _solve_baseline(problem, tree)
+        from calgraph.rig.published.hypergraph import solve_hypergraph
+
+        joint = solve_hypergraph(tree, estimates, captures.detections, keep=solver.keep, settings=rig.settings)
     _log_solution(joint)
     return joint, tree
 
@@ -282,26 +275,6 @@ def _select_initialization(start: RigStart) -> Initialization:
     if start == "tree" or start == "identity":
         return start
     return select_averaging(start) or "consensus"
-
-
-def _solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
-    """The solution of a rig by the hypergraph of MSG-Cal."""
-    from calgraph.rig.published.hypergraph import solve_hypergraph
-
-    solution = solve_hypergraph(
-        tree,
-        select_successful(problem.pairs),
-        problem.captures.detections,
-        keep=problem.solver.keep,
-        settings=problem.rig.settings,
-    )
-    return RigSolution(
-        "hypergraph",
-        solution.T_root_sensor,
-        solution.joint_covariance,
-        solution.residuals,
-        converged=solution.converged,
-    )
 
 
 def _log_captures(captures: CaptureSet) -> None:

@@ -32,12 +32,7 @@ from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.variance_components import usual_bias_variances
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.drift_tests import include_drifts, order_boards, score_drifts
-from calgraph.rig.checks.next_best_pose import (
-    CAMERA_TO_SCANNER_AXES,
-    MAX_PREDICTED_TILT,
-    MIN_SEGMENT_SHARE,
-    select_board_poses,
-)
+from calgraph.rig.checks.next_best_pose import MAX_PREDICTED_TILT, MIN_SEGMENT_SHARE, axes_of, select_board_poses
 from calgraph.rig.fields_of_view import FieldOfView, PlannedRig
 from calgraph.sensors import CameraModel
 from calgraph.sensors.beam_pattern import BeamPattern
@@ -234,7 +229,7 @@ _MAX_ELEVATION = np.radians(15)
 
 def draw_boards(planned: PlannedRig, rng: np.random.Generator) -> Iterator[Array]:
     """``T_root_board`` (4, 4) of boards before each sensor in turn, anywhere in its field of view."""
-    axes = {name: _axes_of(spec.kind) for name, spec in planned.rig.sensors.items()}
+    axes = {name: axes_of(spec.kind) for name, spec in planned.rig.sensors.items()}
     directions = {name: _list_directions(field, axes[name]) for name, field in planned.fields.items()}
     while True:
         for name, T_root_sensor in planned.T_root_sensor.items():
@@ -269,11 +264,6 @@ def detect_boards(planned: PlannedRig, T_root_board: Iterable[Array], count: int
             "or the board is too small"
         )
     return stack_poses(found), detections
-
-
-def _axes_of(kind: str) -> Array:
-    """(3, 3) rotation from the axes of a sensor to forward, left, up."""
-    return CAMERA_TO_SCANNER_AXES if KINDS[kind].optical else np.eye(3)
 
 
 # Pixels along each side of an image through which directions to boards are drawn.

@@ -92,13 +92,7 @@ def admit_sensors(
     reasons, undecided = _select_impossible(rig, captures, pairs, contradictions)
     if reasons:
         rig, captures, pairs = _leave_out(rig, captures, pairs, reasons, undecided)
-    return _replace_lone_root(rig, captures, pairs, options)
-
-
-def _replace_lone_root(
-    rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, options: RigOptions
-) -> tuple[Rig, CaptureSet, PairwiseEstimates]:
-    """Another root, with a finding, in place of one that has no pair, and no prior that ties it."""
+    # Another root, with a finding, in place of one that has no pair, and no prior that ties it.
     tied = options.prior or options.rigid
     if tied or any(rig.root in (pair.sensor_a, pair.sensor_b) for pair in select_successful(pairs)):
         return rig, captures, pairs

@@ -11,11 +11,8 @@ from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, minimize_bundle
-from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, minimize_bundle, view_state
 from calgraph.rig.bundle.problem import Problem
-from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bootstrap import BootstrapScatter, bootstrap_poses
@@ -95,7 +92,7 @@ def _compare_residuals(solved: SolvedBundle, T_root_sensor: Mapping[str, Array])
     given = _rms_residuals(fixed, replace(state, T_root_sensor=np.array(poses)))
     estimated = _rms_residuals(fixed, state)
     return {
-        name: ResidualComparison("px" if isinstance(views[s], CornerObservations) else "m", given[s], estimated[s])
+        name: ResidualComparison(views[s].unit, given[s], estimated[s])
         for s, name in enumerate(bundle.sensors)
         if len(views[s].board)
     }
@@ -110,11 +107,6 @@ def _rms_residuals(fixed: Bundle, state: BundleState) -> list[float]:
         return [float("inf")] * len(fixed.views)
     rms = []
     for s, views in enumerate(fixed.views):
-        T_sensor_board = relative_poses(located.T_root_sensor[s], located.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, located.extra[fixed.extra_indices(s)]).residual
-        if isinstance(views, RangeObservations):
-            residual = residual * views.sigma[:, None]
-        elif isinstance(views, CornerObservations):
-            residual = residual * views.noise_scale * views.noise.pixel
+        residual = views.unwhiten(views.linearize(*view_state(fixed, located, s)).residual)
         rms.append(float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0)
     return rms

@@ -10,7 +10,6 @@ from calgraph.rig.bundle.bundle_solver import HUBER_THRESHOLD
 from calgraph.rig.bundle.normal_equations import (
     BiasVariances,
     accumulate,
-    accumulate_biased,
     consistency_statistic,
     huber_variance_factor,
 )
@@ -30,7 +29,7 @@ def random_residuals(rng: np.random.Generator, k: int, q: int, p: int, size: flo
 def marginalized(linearized: LinearizedResiduals, start: Index, view_bias: Array) -> tuple[Array, Array, Array]:
     """Along the sensor's axes, with variances (6,) of the bias of a view, none of rings and of the stamp."""
     variances = BiasVariances(view_bias, np.zeros(()), np.zeros(()))
-    equations = accumulate_biased(linearized, start, variances, HUBER_THRESHOLD)
+    equations = accumulate(linearized, start, HUBER_THRESHOLD, lambda found: found.estimate_bias(variances))
     information, gradient, costs = equations.marginalize_bias(variances)
     turned = np.swapaxes(linearized.local_jacobian, -1, -2)
     return turned @ information @ linearized.local_jacobian, (turned @ gradient[..., None])[..., 0], costs

@@ -7,11 +7,10 @@ import pytest
 
 from bundle_scenes import Scene, remeasured, scene
 from calgraph.geometry import Array, se3
-from calgraph.rig.bundle.board_motions import velocity_along_sensor
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.normal_equations import BiasVariances, accumulate
-from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.observations import relative_poses, velocity_along_sensor
 from calgraph.rig.bundle.settling import settle_variances
 
 SPEED = 0.5

@@ -106,7 +106,7 @@ def with_two_beams(views: BoardViews) -> BoardViews:
     ends = np.stack([views.start, np.append(views.start[1:], len(views.ranges)) - 1], axis=-1).ravel()
     return replace(
         views,
-        start=2 * np.arange(len(views.start)),
+        first=2 * np.arange(len(views.first)),
         directions=views.directions[ends],
         ranges=views.ranges[ends],
         sigma=views.sigma[ends],

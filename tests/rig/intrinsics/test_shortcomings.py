@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.rig.intrinsics.estimate import Shortcomings, ViewCoverage, describe_shortcomings
+from calgraph.errors import Rejected
+from calgraph.rig.intrinsics.estimate import ViewCoverage, describe_shortcomings
 from calgraph.rig.intrinsics.lens_fit import LensFit
 from calgraph.sensors import CameraModel
 
@@ -12,7 +13,7 @@ CAMERA = CameraModel("pinhole", 640, 480, np.array([[400.0, 0, 320], [0, 400, 24
 EVERYWHERE = ViewCoverage(cells=1.0, reach=1.0, tilt=float(np.radians(40)))
 
 
-def judge(focal: float, center: float) -> Shortcomings:
+def judge(focal: float, center: float) -> tuple[str, ...] | Rejected:
     """Of a focal length of 400 px in an image with a diagonal of 800 px, by standard deviations, px."""
     covariance = np.diag([focal, focal, center, center]) ** 2
     settings = IntrinsicsSettings(good_border_error=1e3)
@@ -24,12 +25,13 @@ def judge(focal: float, center: float) -> Shortcomings:
 )
 def test_intrinsics_are_used_up_to_three_percent(focal: float, center: float, used: bool) -> None:
     """Of the focal length, and of the diagonal for the principal point."""
-    assert (judge(focal, center).decisive == ()) == used
+    assert isinstance(judge(focal, center), Rejected) != used
 
 
 def test_the_reason_states_the_standard_deviations_and_what_to_do() -> None:
-    (reason,) = judge(13.0, 2.0).decisive
-    assert reason == (
+    rejected = judge(13.0, 2.0)
+    assert isinstance(rejected, Rejected)
+    assert rejected.reason == (
         "its views do not determine its intrinsics (focal length 400 ± 13 px, principal point ± 2 px, σ): "
         "take more views, with the board near enough to fill a third of the image"
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.rig.pairs.board_matches import Candidates
+from calgraph.rig.pairs.board_matches import Candidates, identified_board
 from calgraph.solver.connected_parts import label_parts
 
 Node = tuple[int, str, int]
@@ -76,7 +76,7 @@ def add_unambiguous_detections(
             present = by_capture.setdefault(capture, [])
             used = {board.detection_index[name] for board in present if name in board.detection_index}
             for k in set(_find_unambiguous(candidates)) - used:
-                number = _identified_board(candidates[k])
+                number = identified_board(candidates[k])
                 fitting = [
                     i
                     for i, board in enumerate(present)
@@ -96,12 +96,8 @@ def add_unambiguous_detections(
 
 def _find_unambiguous(candidates: Sequence[Detection]) -> list[int]:
     """Indices of the detections that are the only ones of a board, as far as the sensor identifies boards."""
-    numbers = [_identified_board(one) for one in candidates]
+    numbers = [identified_board(one) for one in candidates]
     return [k for k, number in enumerate(numbers) if numbers.count(number) == 1]
-
-
-def _identified_board(detection: Detection) -> int | None:
-    return detection.board if isinstance(detection, BoardCorners) else None
 
 
 def locating_sensors(board: BoardObservation, detections: Mapping[str, Candidates]) -> frozenset[str]:

@@ -159,13 +159,13 @@ def register_rectangles(points: Sequence[Array], half: Array) -> tuple[Array, ND
     padded, valid = _pad_points([p for p, several in zip(points, enough, strict=True) if several])
     n = np.arange(len(padded))
     angles = np.broadcast_to(_COARSE_ANGLES, (len(padded), len(_COARSE_ANGLES)))
-    _, distances = _register_shifts(padded, valid, angles, half, _MAX_DISTANCE, _COARSE_ITERATIONS)
+    _, distances = _register_shifts(padded, valid, angles, half, _COARSE_ITERATIONS)
     best = np.argmin(distances, axis=1)
     apart = np.abs((_COARSE_ANGLES - _COARSE_ANGLES[best, None] + np.pi / 2) % np.pi - np.pi / 2)
     second = np.where(apart > _MIN_ROTATION_APART, distances, np.inf).min(axis=1)
     unique = (distances[n, best] <= _MAX_MEAN_DISTANCE) & (second >= _AMBIGUITY_RATIO * distances[n, best])
     angles = _COARSE_ANGLES[best, None] + _FINE_ANGLES
-    centers, distances = _register_shifts(padded, valid, angles, half, _MAX_DISTANCE, _FINE_ITERATIONS)
+    centers, distances = _register_shifts(padded, valid, angles, half, _FINE_ITERATIONS)
     best = np.argmin(distances, axis=1)
     R = so3.exp(np.column_stack([np.zeros((len(padded), 2)), angles[n, best]]))
     shifts = np.column_stack([centers[n, best], np.zeros(len(padded))])
@@ -209,7 +209,7 @@ def _pad_points(points: Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _register_shifts(
-    points: Array, valid: NDArray[np.bool_], angles: Array, half: Array, max_distance: float, rounds: int
+    points: Array, valid: NDArray[np.bool_], angles: Array, half: Array, rounds: int
 ) -> tuple[Array, Array]:
     """Translations that minimise the distances of outlines rotated by (n, A) from points (n, M, 2), (n, M) valid.
 
@@ -223,11 +223,11 @@ def _register_shifts(
     centers = (rotated.min(axis=2) + rotated.max(axis=2)) / 2
     for _ in range(rounds):
         off, nearest = _offsets_from_sides(rotated - centers[:, :, None], half)
-        shifts = [_limited_mean(off[..., axis], valid & (nearest == axis), max_distance) for axis in (0, 1)]
+        shifts = [_limited_mean(off[..., axis], valid & (nearest == axis)) for axis in (0, 1)]
         centers = centers + np.stack(shifts, axis=-1)
     off, nearest = _offsets_from_sides(rotated - centers[:, :, None], half)
     distance = np.abs(np.where(nearest == 0, off[..., 0], off[..., 1]))
-    return centers, _limited_mean(distance, np.broadcast_to(valid, distance.shape), max_distance)
+    return centers, _limited_mean(distance, np.broadcast_to(valid, distance.shape))
 
 
 def _offsets_from_sides(points: Array, half: Array) -> tuple[Array, Index]:
@@ -240,7 +240,7 @@ def _offsets_from_sides(points: Array, half: Array) -> tuple[Array, Index]:
     return off, np.asarray(far_y < far_x, dtype=np.intp)
 
 
-def _limited_mean(values: Array, valid: NDArray[np.bool_], limit: float) -> Array:
+def _limited_mean(values: Array, valid: NDArray[np.bool_]) -> Array:
     """Means over the last axis of the valid values, truncated; 0 where there are none."""
-    limited = np.clip(values, -limit, limit)
+    limited = np.clip(values, -_MAX_DISTANCE, _MAX_DISTANCE)
     return np.asarray(np.sum(limited * valid, axis=-1) / np.maximum(valid.sum(axis=-1), 1))

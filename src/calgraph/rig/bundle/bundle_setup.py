@@ -9,7 +9,7 @@ from calgraph.boards.detections import BoardCorners
 from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.board_observations import BoardObservation, board_number, initial_board_pose
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, view_state
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.observations import BoardViews, relative_poses, stack_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -57,13 +57,13 @@ def build_bundle(
     return update_noise(bundle, state), state
 
 
-def update_noise(bundle: Bundle, state: BundleState) -> Bundle:
-    """The bundle with the noise of its measurements at this state."""
-    all_views = []
-    for k, views in enumerate(bundle.all_views):
-        T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
-        all_views.append(views.update_noise(T_sensor_board, views.noise_scale))
-    return bundle.with_views(all_views)
+def update_noise(bundle: Bundle, state: BundleState, scales: Sequence[float] | None = None) -> Bundle:
+    """The bundle with the noise of its measurements at this state, and with other scales (K,) of it if given."""
+    scales = scales or [views.noise_scale for views in bundle.all_views]
+    return bundle.with_views([
+        views.update_noise(view_state(bundle, state, k)[0], scale)
+        for k, (views, scale) in enumerate(zip(bundle.all_views, scales, strict=True))
+    ])  # fmt: skip
 
 
 # Minimum cosine between a beam and the board's normal (87°), at which smaller ones are truncated: ranges at
@@ -123,15 +123,4 @@ def rebuild_bundle(
     value = {(p.of, p.quantity): x for p, x in zip(solved.extra_parameters, state.extra, strict=True)}
     extra = np.array([value.get((p.of, p.quantity), 0.0) for p in bundle.extra_parameters])
     bundle, start = replace(bundle, bias_variance=solved.bias_variance), replace(start, extra=extra)
-    return set_noise(bundle, start, [views.noise_scale for views in solved.views]), start
-
-
-def set_noise(bundle: Bundle, state: BundleState, scales: Sequence[float]) -> Bundle:
-    """The bundle with these noise scales (S,)."""
-    return replace(
-        bundle,
-        views=tuple(
-            views.update_noise(relative_poses(T_root_sensor, state.T_root_board[views.board]), scale)
-            for views, T_root_sensor, scale in zip(bundle.views, state.T_root_sensor, scales, strict=True)
-        ),
-    )
+    return update_noise(bundle, start, [views.noise_scale for views in solved.views]), start

@@ -298,7 +298,7 @@ def linearize_bundle(
     """
     equations, costs, linearizations = [], [], []
     for k, views in enumerate(bundle.all_views):
-        bias, (T_sensor_board, extra) = bundle.bias_variances(k), _view_state(bundle, state, k)
+        bias, (T_sensor_board, extra) = bundle.bias_variances(k), view_state(bundle, state, k)
         cached = cache[k] if cache else None
         at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
         if not (cached and at):
@@ -334,7 +334,11 @@ def sum_views(
         H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board_A @ J
     cost = sum(costs, cost)
     for prior in bundle.priors:
-        cost += _add_sensor_prior(bundle, state, prior, H, g)
+        error, J = linearize_sensor_prior(bundle, state, prior)
+        cost += 0.5 * float(error @ prior.information @ error)
+        if len(columns := bundle.pose_columns(prior.sensor)):
+            H[np.ix_(columns, columns)] += J.T @ prior.information @ J
+            g[columns] += J.T @ prior.information @ error
     return BundleEquations(cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, (), 0.0)
 
 
@@ -388,7 +392,7 @@ def minimize_bundle(
         refine=refine if exact else None,
     )
     minimum = run(linearize=linearize)
-    defined = (one.is_defined(*_view_state(bundle, minimum.state, k)) for k, one in enumerate(bundle.all_views))
+    defined = (one.is_defined(*view_state(bundle, minimum.state, k)) for k, one in enumerate(bundle.all_views))
     if (exact and not minimum.converged) or not all(defined):
         # Extrapolation keeps robust weights: its steps may lead off the minimum, or boards out of a camera's view.
         minimum = run(linearize=lambda state, _: linearize_bundle(bundle, state))
@@ -397,7 +401,7 @@ def minimize_bundle(
     return MinimizedBundle(minimum.state, minimum.linearization, minimum.iterations, minimum.converged)
 
 
-def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+def view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
     """The poses (V, 4, 4) of boards before the sensor of views k, and its extra parameters (e,)."""
     T_root_sensor, board = state.T_root_sensor[bundle.sensor_of(k)], bundle.all_views[k].board
     return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]
@@ -448,15 +452,6 @@ def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, 
     information = weights * bundle.prior_stddev**-2
     tails = -np.log(weights) * bundle.prior_tail**2
     return 0.5 * float(np.sum(information * off**2 + tails)), np.diag(information), information * off
-
-
-def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H: Array, g: Array) -> float:
-    """Adds a sensor's prior to the normal equations, in place; returns its cost."""
-    error, J = linearize_sensor_prior(bundle, state, prior)
-    if len(columns := bundle.pose_columns(prior.sensor)):
-        H[np.ix_(columns, columns)] += J.T @ prior.information @ J
-        g[columns] += J.T @ prior.information @ error
-    return 0.5 * float(error @ prior.information @ error)
 
 
 def linearize_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior) -> tuple[Array, Array]:

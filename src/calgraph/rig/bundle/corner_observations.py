@@ -1,8 +1,8 @@
 """Printed corners of boards in a camera's images, with the systematic errors of lens and print."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import PixelNoise
 from calgraph.geometry import Array, Index, so3
-from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
-from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
+from calgraph.rig.bundle.bundle_parameters import LocalParameters
 from calgraph.rig.bundle.observations import (
+    BoardViews,
     LinearizedResiduals,
-    difference_along_sensor,
     select_measurements,
+    stack_motions,
     start_indices,
+    velocity_along_sensor,
     view_indices,
 )
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
@@ -88,32 +89,24 @@ class PrintedCorners:
 
 
 @dataclass(frozen=True, eq=False)
-class CornerObservations:
+class CornerObservations(BoardViews):
     """Printed corners in a camera's images, through its full model: pixels.
 
-    Implements :class:`calgraph.rig.bundle.observations.BoardViews`. The local parameters are the board's pose,
-    then systematic parameters.
+    The local parameters are the board's pose, then systematic parameters in blocks ``lens``, of
+    :func:`adjust_camera`; ``print`` and ``tags``, of :meth:`PrintedCorners.displace`; ``times``, s, if boards
+    move: from the stamp to the middle row, and from first to last row; ``residual distortion``. None if all are
+    exact.
     """
 
-    board: Index
-    start: Index
     printed: PrintedCorners
     pixels: Array
     """(N, 2)."""
     camera: CameraModel
     noise: PixelNoise
-    noise_scale: float = 1.0
-    parameters: LocalParameters = NO_PARAMETERS
-    """In blocks ``lens``, of :func:`adjust_camera`; ``print`` and ``tags``, of :meth:`PrintedCorners.displace`;
-    ``times``, s, if boards move: from the stamp to the middle row, and from first to last row; ``residual
-    distortion``. None if all are exact."""
-    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """See :class:`BoardViews`."""
-    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """See :class:`BoardViews`."""
     residual_distortion: ResidualDistortion | None = None
     """What the lens displaces beyond its model; None if nothing."""
     dimension: ClassVar[int] = 2
+    unit: ClassVar[Literal["px", "m"]] = "px"
 
     @classmethod
     def from_detections(
@@ -132,8 +125,7 @@ class CornerObservations:
             camera,
             noise,
             parameters=LocalParameters.exact(len(board), {}),
-            twist=stack_motions([d.twist for d in detections]),
-            motion_variance=stack_motions([d.motion_variance for d in detections]),
+            **stack_motions(detections),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -159,6 +151,10 @@ class CornerObservations:
         residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(derivatives, axis=-1) / sigma
         velocity = velocity_along_sensor(self.twist, T_sensor_board)
         return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6, velocity=velocity)
+
+    def unwhiten(self, residual: Array) -> Array:
+        """See :class:`BoardViews`."""
+        return residual * self.noise_scale * self.noise.pixel
 
     def _displace(self, extra: Array) -> tuple[CameraModel, Array, Array, Array]:
         """The camera, corners (N, 3) and their derivatives (N, 3, n) by errors of the print, and times (V, t)."""
@@ -205,29 +201,12 @@ class CornerObservations:
         by_times = velocity[..., None] * share[:, None]
         return points + delay[:, None] * velocity, by_times, so3.hat(delay[:, None] * angular)
 
-    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
-        """See :class:`BoardViews`: the pose itself, and the extra parameters that each view depends on."""
-        return self.parameters.jacobian(np.eye(6)[None])
-
-    def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
-        """See :class:`BoardViews`."""
-        of_pose = difference_along_sensor(T_before, T_sensor_board)
-        return np.concatenate([of_pose, self.parameters.gather(extra)], axis=-1)
-
     def update_noise(self, T_sensor_board: Array, scale: float) -> "CornerObservations":  # noqa: ARG002
         """See :class:`BoardViews`."""
         return replace(self, noise_scale=scale)
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "CornerObservations":
         """See :class:`BoardViews`."""
-        start, kept = select_measurements(self.start, len(self.pixels), keep)
-        return replace(
-            self,
-            board=self.board[keep],
-            start=start,
-            printed=self.printed.select(kept),
-            pixels=self.pixels[kept],
-            parameters=self.parameters.select(keep),
-            twist=select_motions(self.twist, keep),
-            motion_variance=select_motions(self.motion_variance, keep),
-        )
+        first, kept = select_measurements(self.first, len(self.pixels), keep)
+        printed, pixels = self.printed.select(kept), self.pixels[kept]
+        return replace(self, first=first, printed=printed, pixels=pixels, **self.select_shared(keep))

@@ -1,6 +1,6 @@
 """The default joint estimator of a rig: a bundle over all sensors and boards, with estimated noise."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +18,14 @@ from calgraph.rig.bundle.board_observations import (
 )
 from calgraph.rig.bundle.board_outlines import add_outlines
 from calgraph.rig.bundle.bundle_setup import INITIAL_VIEW_BIAS, build_bundle
-from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
+from calgraph.rig.bundle.bundle_solver import (
+    COARSE_TOLERANCE,
+    Bundle,
+    MinimizedBundle,
+    minimize_bundle,
+    view_state,
+)
 from calgraph.rig.bundle.covariances import pose_covariance
-from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
 from calgraph.rig.bundle.settling import STEPS_PER_ROUND, select_views, settle_variances
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
@@ -142,7 +147,10 @@ def solve_bundle(
         estimator="bundle",
         T_root_sensor=dict(zip(names, solution.state.T_root_sensor, strict=True)),
         joint_covariance=pose_covariance(bundle, solution.state, solution.equations),
-        residuals=dict(_residuals_by_sensor(bundle, solution)),
+        residuals={
+            name: views.linearize(*view_state(bundle, solution.state, s)).residual
+            for s, (name, views) in enumerate(zip(names, bundle.views, strict=True))
+        },
         converged=solution.converged,
         used=used,
         rejected=dict.fromkeys([view for view in judged if view not in views], _OUTLIER_VIEW),
@@ -182,9 +190,3 @@ def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet)
     first = len(outlined.views)
     bundle, solution, _ = settle_variances(outlined, solution, _MAX_OUTLINE_ROUNDS, first=first)
     return bundle, solution
-
-
-def _residuals_by_sensor(bundle: Bundle, solution: MinimizedBundle) -> Iterator[tuple[str, Array]]:
-    for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
-        T_sensor_board = relative_poses(solution.state.T_root_sensor[s], solution.state.T_root_board[views.board])
-        yield name, views.linearize(T_sensor_board, solution.state.extra[bundle.extra_indices(s)]).residual

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index
-from calgraph.rig.bundle.normal_equations import BiasVariances, ViewNormalEquations, accumulate_biased
+from calgraph.rig.bundle.normal_equations import BiasVariances, ViewNormalEquations, accumulate
 from calgraph.rig.bundle.observations import BoardViews
 
 # A scanner's views have a hundred thousand beams, and a solver evaluates a dozen states. Near the state of the
@@ -90,5 +90,5 @@ def linearize_views(
         huber_threshold: of whitened residuals.
     """
     residuals = views.linearize(T_sensor_board, extra)
-    equations = accumulate_biased(residuals, views.start, bias, huber_threshold)
+    equations = accumulate(residuals, views.start, huber_threshold, lambda found: found.estimate_bias(bias))
     return CachedLinearization(T_sensor_board, extra, equations)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, gammaln
 
-from calgraph.geometry import Array, Index, se_n
+from calgraph.geometry import Array, Index, matvec, se_n
 from calgraph.rig.bundle.observations import LinearizedResiduals, view_indices
 from calgraph.solver.marginalization import compute_bias_covariance, marginalize_bias
 
@@ -68,13 +68,13 @@ class ViewNormalEquations:
         They measure the noise of single measurements, independent of errors of the poses.
         """
         whiten, measured = self.whiten_views()
-        explained = np.sum(_matvec(whiten, self.Jtr) ** 2, axis=-1)
+        explained = np.sum(matvec(whiten, self.Jtr) ** 2, axis=-1)
         return self.squared_residuals - explained, self.residual_count - np.sum(measured, axis=-1)
 
     def fit(self) -> Array:
         """(V, q) change of pose and rings to the best fit of each view alone; other parameters do not change."""
         whiten, _ = self.whiten_views()
-        return -_matvec(se_n.transpose(whiten), _matvec(whiten, self.Jtr))
+        return -matvec(se_n.transpose(whiten), matvec(whiten, self.Jtr))
 
     def whiten_views(self) -> tuple[Array, NDArray[np.bool_]]:
         """``L`` (V, n, q) with ``L @ JtJ @ L.T`` the identity where it is measured, (V, n): of the pose and rings.
@@ -96,28 +96,22 @@ class ViewNormalEquations:
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "ViewNormalEquations":
         """Those of some of the views: a mask (V,), or indices, which may repeat."""
-        return ViewNormalEquations(
-            self.JtJ[keep],
-            self.Jtr[keep],
-            self.local_jacobian[keep],
-            self.squared_residuals[keep],
-            self.robust_cost_offset[keep],
-            self.residual_count[keep],
-            self.pose_count,
-            self.ring_count,
-            None if self.velocity is None else self.velocity[keep],
-        )
+        of_views = (
+            "JtJ", "Jtr", "local_jacobian", "squared_residuals", "robust_cost_offset", "residual_count", "velocity"
+        )  # fmt: skip
+        known = {name: values for name in of_views if (values := getattr(self, name)) is not None}
+        return replace(self, **{name: values[keep] for name, values in known.items()})
 
     def squared_change(self, change: Array) -> Array:
         """(V,) sum of squared changes of the residuals for changes (V, q) of the local parameters."""
-        return np.asarray(np.sum(change * _matvec(self.JtJ, change), axis=-1))
+        return np.asarray(np.sum(change * matvec(self.JtJ, change), axis=-1))
 
     def extrapolate(self, change: Array, local_jacobian: Array) -> "ViewNormalEquations":
         """The equations after a change (V, q) of the local parameters, to first order of the residuals in it.
 
         Robust weights are kept; ``local_jacobian`` is that at the new poses.
         """
-        Jtr = self.Jtr + _matvec(self.JtJ, change)
+        Jtr = self.Jtr + matvec(self.JtJ, change)
         squared_residuals = self.squared_residuals + np.sum(change * (self.Jtr + Jtr), axis=-1)
         return replace(self, Jtr=Jtr, squared_residuals=squared_residuals, local_jacobian=local_jacobian)
 
@@ -144,7 +138,7 @@ class ViewNormalEquations:
             A[:, :n, :n] -= (coupling * P[:, None]) @ se_n.transpose(coupling)
             A[:, :n, n:] = coupling * left[:, None]
             A[:, n:] *= left[..., None]
-            b = b - _matvec(to_rings, shift)
+            b = b - matvec(to_rings, shift)
             cost = cost - 0.5 * np.sum(self._of_rings(self.Jtr) * shift, axis=-1)
         return marginalize_bias(A, b, cost, self._pose_bias_prior(variances))
 
@@ -156,10 +150,10 @@ class ViewNormalEquations:
         if has_rings:
             to_rings, P, of_rings = self._ring_biases(variances.ring)
             A = A - (to_rings[:, :p] * P[:, None]) @ se_n.transpose(to_rings[:, :p])
-            b = b - _matvec(to_rings[:, :p], of_rings)
-        shift[:, :p] = -_matvec(compute_bias_covariance(A, self._pose_bias_prior(variances)), b)
+            b = b - matvec(to_rings[:, :p], of_rings)
+        shift[:, :p] = -matvec(compute_bias_covariance(A, self._pose_bias_prior(variances)), b)
         if has_rings:
-            of_rings = of_rings + P * _matvec(se_n.transpose(to_rings[:, :p]), shift[:, :p])
+            of_rings = of_rings + P * matvec(se_n.transpose(to_rings[:, :p]), shift[:, :p])
             shift[:, shift.shape[1] - self.ring_count :] = -of_rings
         return shift
 
@@ -238,7 +232,9 @@ def accumulate(
         huber_threshold: norm of a whitened residual beyond which it is down-weighted.
         fit: from the equations to the change (V, q) of local parameters at which weights are computed.
     """
-    columns, residual = _jacobian_columns(residuals), residuals.residual.ravel()
+    # One column of the Jacobian (q - R, N·k) after the other in memory.
+    columns = np.ascontiguousarray(residuals.jacobian.reshape(-1, residuals.jacobian.shape[-1]).T)
+    residual = residuals.residual.ravel()
     groups = _group_residuals(residuals, start)
     unweighted = equations = _accumulate_unweighted(columns, residual, residuals, groups)
     shift = fit(equations)
@@ -247,7 +243,8 @@ def accumulate(
         if groups.ring is not None:
             by_group[:, residuals.ring_column] += shift[groups.view, len(columns) + groups.ring]
         about_fit = residual + np.einsum("in,in->n", columns, np.repeat(by_group.T, groups.count, axis=1))
-        norm = _residual_norms(about_fit.reshape(residuals.residual.shape))
+        about_fit = about_fit.reshape(residuals.residual.shape)
+        norm = np.linalg.norm(about_fit, axis=1) if about_fit.shape[1] > 1 else np.abs(about_fit[:, 0])
         if not np.any(norm > huber_threshold):
             return unweighted
         equations = _downweight_outliers(unweighted, columns, residuals, groups, norm, huber_threshold)
@@ -256,18 +253,6 @@ def accumulate(
         if np.all(moved <= _REWEIGHTING_TOLERANCE**2 * unweighted.residual_count):
             break
     return equations
-
-
-def accumulate_biased(
-    residuals: LinearizedResiduals, start: Index, variances: BiasVariances, huber_threshold: float
-) -> ViewNormalEquations:
-    """As :func:`accumulate`, with robust weights at the most likely bias."""
-    return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(variances))
-
-
-def _jacobian_columns(residuals: LinearizedResiduals) -> Array:
-    """(q - R, N·k) derivatives, one column of the Jacobian after the other in memory."""
-    return np.ascontiguousarray(residuals.jacobian.reshape(-1, residuals.jacobian.shape[-1]).T)
 
 
 def _group_residuals(residuals: LinearizedResiduals, start: Index) -> _Groups:
@@ -367,16 +352,6 @@ def _sum_groups(values: Array, begin: Index, some: NDArray[np.bool_]) -> Array:
     if some.any():
         sums[..., some] = np.add.reduceat(values, begin[some], axis=-1)
     return sums
-
-
-def _residual_norms(residual: Array) -> Array:
-    """(N,) norms of residuals (N, k)."""
-    return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
-
-
-def _matvec(A: Array, x: Array) -> Array:
-    """Matrices (V, n, p) times vectors (V, p)."""
-    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def huber_variance_factor(dimension: int, huber_threshold: float) -> float:

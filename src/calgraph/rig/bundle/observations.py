@@ -5,15 +5,17 @@ depend on ``T_sensor_board`` alone, so residuals are differentiated by that pose
 rotation) along the sensor's fixed axes, as :func:`calgraph.geometry.se3.retract` applies them.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import Field, dataclass
-from typing import Any, ClassVar, Protocol, Self
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import Detection
 from calgraph.geometry import Array, Index, se3
-from calgraph.rig.bundle.bundle_parameters import LocalParameters
+from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,56 +45,93 @@ class LinearizedResiduals:
     """(V, 6) of a moving board's pose before the sensor, along the sensor's axes, m/s and rad/s; None at rest."""
 
 
-class BoardViews(Protocol):
-    """All views of one sensor, a dataclass."""
+@dataclass(frozen=True, eq=False)
+class BoardViews(ABC):
+    """All views of one sensor."""
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    @property
-    def board(self) -> Index:
-        """(V,) index of each view's board; no board twice."""
+    board: Index
+    """(V,) index of each view's board; no board twice."""
+    first: Index
+    """(V,) the first corner, beam or edge of each view."""
+    noise_scale: float = field(default=1.0, kw_only=True)
+    """Standard deviation of the noise over that stated."""
+    parameters: LocalParameters = field(default=NO_PARAMETERS, kw_only=True)
+    """The sensor's systematic parameters: the local parameters after those of the pose."""
+    twist: Array = field(default_factory=lambda: np.zeros((0, 6)), kw_only=True)
+    """(V, 6) velocity of each board, as detections have it; (0, 6) if all rest."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)), kw_only=True)
+    """(V, 6) as of detections; (0, 6) if all boards rest."""
+    dimension: ClassVar[int] = 1
+    """Number k of each measurement's coordinates."""
+    unit: ClassVar[Literal["px", "m"]] = "m"
+    """Of errors that are not whitened."""
 
     @property
     def start(self) -> Index:
         """(V,) the first measurement of each view."""
+        return self.first
 
-    @property
-    def noise_scale(self) -> float:
-        """Standard deviation of the noise over that stated."""
-
-    @property
-    def dimension(self) -> int:
-        """Dimension k of each measurement."""
-
-    @property
-    def parameters(self) -> LocalParameters:
-        """The sensor's systematic parameters: the local parameters after those of the pose."""
-
-    @property
-    def twist(self) -> Array:
-        """(V, 6) velocity of each board, as detections have it; (0, 6) if all rest."""
-
-    @property
-    def motion_variance(self) -> Array:
-        """(V, 6) as of detections; (0, 6) if all boards rest."""
-
+    @abstractmethod
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
         """Residuals and derivatives at poses (V, 4, 4) and the sensor's extra parameters (e,)."""
 
-    def local_jacobian(self, T_sensor_board: Array) -> Array:
+    @abstractmethod
+    def unwhiten(self, residual: Array) -> Array:
+        """Residuals (N, k), or their norms (N, 1), as errors in px, or in m along the beams."""
+
+    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
         """(V, q, 6 + e) derivatives of the local parameters by the pose and the extra parameters."""
+        return self.parameters.jacobian(np.eye(6)[None])
 
     def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
         """(V, q) difference of the local parameters between two poses, for a difference ``extra`` (e,)."""
+        return np.concatenate([se3.difference(T_sensor_board, T_before), self.parameters.gather(extra)], axis=-1)
 
-    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
         """Whether the residuals exist: no model of a lens projects all points."""
+        return True
 
+    @abstractmethod
     def update_noise(self, T_sensor_board: Array, scale: float) -> Self:
         """The same views with the noise at these poses, ``scale`` times that stated."""
 
+    @abstractmethod
     def select(self, keep: NDArray[np.bool_] | Index) -> Self:
         """Some of the views: a mask (V,), or indices, which may repeat."""
+
+    def select_shared(self, keep: NDArray[np.bool_] | Index) -> dict[str, Any]:
+        """The fields of some of the views that those of all sensors have."""
+        return {
+            "board": self.board[keep],
+            "parameters": self.parameters.select(keep),
+            "twist": select_some(self.twist, keep),
+            "motion_variance": select_some(self.motion_variance, keep),
+        }
+
+
+Values = TypeVar("Values", bound=NDArray[Any])
+
+
+def select_some(values: Values, keep: NDArray[np.bool_] | Index) -> Values:
+    """Those of some of the views, of an array that is empty where views have none."""
+    return cast("Values", values[keep]) if len(values) else values
+
+
+def stack_motions(detections: Sequence[Detection]) -> dict[str, Any]:
+    """Fields ``twist`` and ``motion_variance`` (V, 6) of views, (0, 6) where all are zero: boards at rest."""
+    stacked = {
+        name: np.array([getattr(one, name) for one in detections]).reshape(-1, 6)
+        for name in ("twist", "motion_variance")
+    }
+    return {name: values if np.any(values) else np.zeros((0, 6)) for name, values in stacked.items()}
+
+
+def velocity_along_sensor(twist: Array, T_sensor_board: Array) -> Array | None:
+    """(V, 6) velocity of poses (V, 4, 4) along the sensor's axes, from twists (V, 6); None for boards at rest."""
+    if not len(twist):
+        return None
+    linear, angular = twist[:, :3], twist[:, 3:]
+    return np.concatenate([linear + np.cross(angular, T_sensor_board[:, :3, 3]), angular], axis=-1)
 
 
 def relative_poses(T_root_sensor: Array, T_root_board: Array) -> Array:
@@ -103,11 +142,6 @@ def relative_poses(T_root_sensor: Array, T_root_board: Array) -> Array:
 def stack_poses(parts: Sequence[Array]) -> Array:
     """Array (n, 4, 4) of a sequence of poses, which may be empty."""
     return np.array(parts, dtype=np.float64).reshape(-1, 4, 4)
-
-
-def difference_along_sensor(T_before: Array, T_sensor_board: Array) -> Array:
-    """(V, 6) difference of poses (V, 4, 4) along the sensor's axes."""
-    return se3.difference(T_sensor_board, T_before)
 
 
 def start_indices(counts: Sequence[int]) -> Index:

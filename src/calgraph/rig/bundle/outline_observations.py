@@ -5,22 +5,22 @@ it; as the board's size is given, each such pair of beams is a measurement acros
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, se_n, so3
-from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
-from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
+from calgraph.rig.bundle.bundle_parameters import LocalParameters
 from calgraph.rig.bundle.observations import (
+    BoardViews,
     LinearizedResiduals,
-    difference_along_sensor,
     select_measurements,
+    stack_motions,
     start_indices,
+    velocity_along_sensor,
     view_indices,
 )
 from calgraph.sensors.kinds.stated import BeamError, list_turns
@@ -51,18 +51,16 @@ _BLUR = 0.002
 
 
 @dataclass(frozen=True, eq=False)
-class OutlineObservations:
+class OutlineObservations(BoardViews):
     """Pairs of neighbouring beams, on the board and past it: the direction to a side of the board, across it.
 
-    Implements :class:`calgraph.rig.bundle.observations.BoardViews`. :meth:`update_noise` assigns the sides and
-    the points on them, which are constant within a minimisation. Residuals are angles times a constant distance:
-    distances on the board would be reduced by a smaller scale of everything.
+    :meth:`update_noise` assigns the sides and the points on them, which are constant within a minimisation.
+    Residuals are angles times a constant distance: distances on the board would be reduced by a smaller scale of
+    everything. The local parameters are the board's pose, then systematic parameters in blocks ``size``, width and
+    height of the board, m; ``print``, place and rotation of the print on it, m and rad; ``beams``, of the errors
+    that turn these; ``varying``, footprints, m.
     """
 
-    board: Index
-    """(V,) index of each view's board."""
-    first: Index
-    """(V,) the first edge of each view."""
     edges: Array
     """(M, 2, 3) unit vectors in the sensor frame, as :class:`calgraph.Segment` has them."""
     half_size: Array
@@ -76,17 +74,8 @@ class OutlineObservations:
     scaled so that its product with the direction to the side is the distance on the board."""
     along: Array
     """(M,) coordinate of the edge along its side, board frame, m."""
-    noise_scale: float = 1.0
-    parameters: LocalParameters = NO_PARAMETERS
-    """In blocks ``size``, width and height of the board, m; ``print``, place and rotation of the print on it, m
-    and rad; ``beams``, of the errors that turn these; ``varying``, footprints, m."""
     turns: tuple[BeamError, ...] = ()
     """Systematic errors of the beams' directions, in the order of their parameters."""
-    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """See :class:`BoardViews`."""
-    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """See :class:`BoardViews`."""
-    dimension: ClassVar[int] = 1
 
     @classmethod
     def from_edges(
@@ -104,8 +93,7 @@ class OutlineObservations:
             np.zeros((len(edges), 3)),
             np.zeros(len(edges)),
             parameters=LocalParameters.exact(len(board), _BLOCKS),
-            twist=stack_motions([d.twist for d in detections]),
-            motion_variance=stack_motions([d.motion_variance for d in detections]),
+            **stack_motions(detections),
         )
 
     @property
@@ -115,7 +103,7 @@ class OutlineObservations:
 
     @property
     def start(self) -> Index:
-        """(V,) the first measurement of each view."""
+        """(V,) the first measurement of each view: the first edge that is used."""
         return np.searchsorted(self.used, self.first)
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -166,20 +154,11 @@ class OutlineObservations:
             velocity=velocity_along_sensor(self.twist, T_sensor_board),
         )
 
-    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
-        """See :class:`BoardViews`: the pose itself, and the extra parameters of each view."""
-        return self.parameters.jacobian(np.eye(6)[None])
-
-    def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
+    def unwhiten(self, residual: Array) -> Array:
         """See :class:`BoardViews`."""
-        of_pose = difference_along_sensor(T_before, T_sensor_board)
-        return np.concatenate([of_pose, self.parameters.gather(extra)], axis=-1)
+        return residual * self.sigma[self.used, None]
 
-    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
-        """See :class:`BoardViews`."""
-        return True
-
-    def update_noise(self, T_sensor_board: Array, noise_scale: float) -> "OutlineObservations":
+    def update_noise(self, T_sensor_board: Array, scale: float) -> "OutlineObservations":
         """See :class:`BoardViews`: the outline is uniformly distributed between the two beams, plus blur."""
         view = self._view
         T, half = se3.inverse(T_sensor_board)[view], self.half_size[view]
@@ -205,14 +184,14 @@ class OutlineObservations:
         axes = se_n.transpose(T_sensor_board[view, :3, :2])
         normal = np.cross(middle, axes[each, 1 - nearest // 2])
         across_side = sign[nearest, None] * axes[each, nearest // 2]
-        scale = np.linalg.norm(middle, axis=-1) / _away_from_zero(np.sum(normal * across_side, axis=-1))
+        length = np.linalg.norm(middle, axis=-1) / _away_from_zero(np.sum(normal * across_side, axis=-1))
         return replace(
             self,
             side=np.where(used, nearest, -1).astype(np.int8),
-            sigma=noise_scale * np.hypot(spread, _BLUR),
-            across=normal * scale[:, None],
+            sigma=scale * np.hypot(spread, _BLUR),
+            across=normal * length[:, None],
             along=midpoint[each, 1 - nearest // 2],
-            noise_scale=noise_scale,
+            noise_scale=scale,
         )
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "OutlineObservations":
@@ -220,7 +199,6 @@ class OutlineObservations:
         first, kept = select_measurements(self.first, len(self.edges), keep)
         return replace(
             self,
-            board=self.board[keep],
             first=first,
             edges=self.edges[kept],
             half_size=self.half_size[keep],
@@ -228,9 +206,7 @@ class OutlineObservations:
             sigma=self.sigma[kept],
             across=self.across[kept],
             along=self.along[kept],
-            parameters=self.parameters.select(keep),
-            twist=select_motions(self.twist, keep),
-            motion_variance=select_motions(self.motion_variance, keep),
+            **self.select_shared(keep),
         )
 
     def edge_points(self, T_sensor_board: Array) -> tuple[Index, Array]:

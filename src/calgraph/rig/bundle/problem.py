@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 from pydantic_core import PydanticCustomError
 
-from calgraph.boards.detections import BoardCorners
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import MatchFilter
 from calgraph.errors import CalibrationError, InputError
@@ -117,10 +117,9 @@ def check_problem(problem: Problem) -> None:
             if hold.index not in by_capture and (hold.index, name) not in captures.rejections:
                 raise InputError(f"misses: must state why {name} has no detection in capture {hold.index}")
     _check_corners(captures, len(problem.rig.boards))
-    estimates = select_successful(problem.pairs)
-    for estimate in estimates:
+    for estimate in select_successful(problem.pairs):
         _check_matches(estimate, captures.detections)
-    check_numbers(captures, estimates, tree, problem.solver.priors, problem.solver.groups)
+    _check_numbers(problem)
 
 
 def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> None:
@@ -131,18 +130,12 @@ def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> Non
 
 def _check_corners(captures: CaptureSet, board_count: int) -> None:
     """Raises InputError for corners of a board that the rig lacks, or that have no extent in the image."""
-    for name, by_capture in captures.detections.items():
-        for capture, candidates in by_capture.items():
-            for found in candidates:
-                if not isinstance(found, BoardCorners):
-                    continue
-                place = f"of {name} in capture {capture}"
-                if not 0 <= found.board < board_count:
-                    raise InputError(
-                        f"corners/board: {place} must be below the {board_count} boards, got {found.board}"
-                    )
-                if not (np.isfinite(found.pixels).all() and np.ptp(found.pixels, axis=0).any()):
-                    raise InputError(f"corners/pixels: {place} must be finite and differ from each other")
+    for place, found in _list_detections(captures):
+        if isinstance(found, BoardCorners):
+            wrong = f"corners/board: {place} must be below the {board_count} boards, got {found.board}"
+            _refuse(wrong, not 0 <= found.board < board_count)
+            differ = np.isfinite(found.pixels).all() and np.ptp(found.pixels, axis=0).any()
+            _refuse(f"corners/pixels: {place} must be finite and differ from each other", not differ)
 
 
 def _check_matches(estimate: PairwiseEstimate, detections: Mapping[str, Candidates]) -> None:
@@ -167,18 +160,9 @@ _EIGENVALUE_TOLERANCE = 1e-6
 _MAX_PIXEL = 1e6
 
 
-def check_numbers(
-    captures: CaptureSet,
-    estimates: Sequence[PairwiseEstimate],
-    tree: SpanningTree,
-    priors: Sequence[PosePrior],
-    groups: Sequence[RigidGroup],
-) -> None:
-    """Checks the numbers of the parts of a problem.
-
-    Raises:
-        InputError: naming the column, and the sensor or pair, of values that are none of what they stand for.
-    """
+def _check_numbers(problem: Problem) -> None:
+    """Raises InputError for values that are none of what they stand for."""
+    captures, solver = problem.captures, problem.solver
     _refuse("start: must be a time in s", not np.isfinite(captures.start))
     _refuse("holds/index: must differ", len({hold.index for hold in captures.holds}) < len(captures.holds))
     for hold in captures.holds:
@@ -186,19 +170,22 @@ def check_numbers(
         _refuse(f"holds and stamps: of capture {hold.index} must be times in s", not np.isfinite(times).all())
     for name, camera in captures.cameras.items():
         _check_camera(name, camera)
-    for where, field, values in _list_fields(captures):
-        is_valid, meaning = _FIELDS[field]
-        _refuse(f"{where} must be {meaning}", not is_valid(values))
-        if field.endswith("covariance"):
-            _check_covariance(where, values)
-    for estimate in estimates:
+    for place, found in _list_detections(captures):
+        for field, value in vars(found).items():
+            if field in _FIELDS:
+                where, values = f"{DETECTIONS[type(found)].name}/{field}: {place}", np.asarray(value)
+                is_valid, meaning = _FIELDS[field]
+                _refuse(f"{where} must be {meaning}", not is_valid(values))
+                if field.endswith("covariance"):
+                    _check_covariance(where, values)
+    for estimate in select_successful(problem.pairs):
         _check_estimate(estimate)
-    for name, T in tree.T_root_sensor.items():
+    for name, T in problem.tree.T_root_sensor.items():
         _refuse(f"tree/T_root_sensor: of {name} must be {_POSE}", not _is_pose(T))
-    for prior in priors:
+    for prior in solver.priors:
         _refuse(f"priors: of {prior.sensor} must be {_POSE}", not _is_pose(np.array(prior.T_root_sensor)))
         _refuse(f"priors: of {prior.sensor} must have a covariance", not has_inverse(np.array(prior.covariance)))
-    for group in groups:
+    for group in solver.groups:
         for name, rows in group.T_group_sensor.items():
             _refuse(f"groups: of {name} must be {_POSE}", not _is_pose(np.array(rows)))
 
@@ -208,15 +195,12 @@ def _refuse(message: str, wrong: bool) -> None:
         raise InputError(message)
 
 
-def _list_fields(captures: CaptureSet) -> Iterator[tuple[str, str, Array]]:
-    """Place in the file, name, and value of every field of the detections that has a check."""
+def _list_detections(captures: CaptureSet) -> Iterator[tuple[str, Detection]]:
+    """All detections, and of which sensor and capture each is."""
     for name, by_capture in captures.detections.items():
         for capture, candidates in by_capture.items():
             for found in candidates:
-                table = DETECTIONS[type(found)].name
-                for field, value in vars(found).items():
-                    if field in _FIELDS:
-                        yield f"{table}/{field}: of {name} in capture {capture}", field, np.asarray(value)
+                yield f"of {name} in capture {capture}", found
 
 
 def _check_camera(name: str, camera: CameraModel) -> None:

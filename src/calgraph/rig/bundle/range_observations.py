@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,17 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config import RangeNoise
 from calgraph.geometry import Array, Index, se3, so3
-from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
-from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
-from calgraph.rig.bundle.observations import LinearizedResiduals, select_measurements, start_indices, view_indices
+from calgraph.rig.bundle.bundle_parameters import LocalParameters
+from calgraph.rig.bundle.observations import (
+    BoardViews,
+    LinearizedResiduals,
+    select_measurements,
+    select_some,
+    stack_motions,
+    start_indices,
+    velocity_along_sensor,
+    view_indices,
+)
 from calgraph.sensors.kinds.stated import BeamError, list_turns
 
 # Limit on the beams of all views of a scanner, half a kilobyte each in a solution. Rests of a second before 16
@@ -24,15 +31,14 @@ _MAX_BEAMS = 250_000
 
 
 @dataclass(frozen=True, eq=False)
-class RangeObservations:
+class RangeObservations(BoardViews):
     """Ranges along a scanner's beams to the plane of the board: metres.
 
-    Implements :class:`calgraph.rig.bundle.observations.BoardViews`. The local parameters are three of the
-    plane, then systematic parameters.
+    The local parameters are three of the plane, then systematic parameters in blocks ``beams``, of the errors;
+    ``bow``, bows along x and y and twist of the board, m; ``delay`` of stamps, s, if boards move; ``varying``, a
+    bias of each ring, m. None if all are exact.
     """
 
-    board: Index
-    start: Index
     directions: Array
     """(N, 3) unit vectors in the sensor frame; column-major, in the order of use."""
     ranges: Array
@@ -43,7 +49,6 @@ class RangeObservations:
     min_cosine: float
     """Least cosine between a beam and the board's normal: at grazing incidence the range is not linear in the
     pose."""
-    noise_scale: float = 1.0
     errors: tuple[BeamError, ...] = ()
     """Systematic errors of the beams, in the order of their parameters."""
     ring: Index | None = None
@@ -55,14 +60,6 @@ class RangeObservations:
     bow_shape: Array | None = None
     """(N, 3) height of each beam's end on a board with a bow of 1 m along x and y, and a twist; constant within a
     minimisation."""
-    parameters: LocalParameters = NO_PARAMETERS
-    """In blocks ``beams``, of the errors; ``bow``, bows along x and y and twist of the board, m; ``delay`` of
-    stamps, s, if boards move; ``varying``, a bias of each ring, m. None if all are exact."""
-    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """See :class:`BoardViews`."""
-    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """See :class:`BoardViews`."""
-    dimension: ClassVar[int] = 1
 
     @classmethod
     def from_detections(
@@ -87,8 +84,7 @@ class RangeObservations:
             noise.of_beams(ranges, directions),
             min_cosine,
             parameters=LocalParameters.exact(len(board), {}),
-            twist=stack_motions([d.twist for d in detections]),
-            motion_variance=stack_motions([d.motion_variance for d in detections]),
+            **stack_motions(detections),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -115,9 +111,9 @@ class RangeObservations:
         if turning:
             directions = so3.rotate(np.einsum("ien,e->ni", self._turns, of_beams[turning]), directions)
         h, n, cosine = self._intersect_planes(T_measured, directions)
-        height = np.repeat(h, self._counts)
+        height = np.repeat(h, self.counts)
         if self.bow_shape is not None:
-            bows = np.repeat(local[:, block["bow"]].T, self._counts, axis=1)
+            bows = np.repeat(local[:, block["bow"]].T, self.counts, axis=1)
             height += np.einsum("ni,in->n", self.bow_shape, bows)
         distance, weight = height / cosine, 1 / self.sigma
         residual, stretch = (distance - self.ranges) * weight, np.ones(1)
@@ -166,20 +162,25 @@ class RangeObservations:
         planes = n * (h_after - h)[:, None] - h[:, None] * (n_after - n)
         return np.concatenate([planes, self.parameters.gather(extra)], axis=-1)
 
-    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
+    def unwhiten(self, residual: Array) -> Array:
         """See :class:`BoardViews`."""
-        return True
+        return residual * self.sigma[:, None]
+
+    def incidence(self, T_sensor_board: Array) -> Array:
+        """(N,) cosines between beams and the normals of boards (V, 4, 4)."""
+        normals = np.repeat(T_sensor_board[:, :3, 2], self.counts, axis=0)
+        return np.asarray(np.abs(np.sum(normals * self.directions, axis=1)))
 
     def update_noise(self, T_sensor_board: Array, scale: float) -> "RangeObservations":
         """See :class:`BoardViews`: the error of a beam's direction grows with the tangent of its incidence."""
         h, _, cosine = self._intersect_planes(T_sensor_board, self.directions)
         tangent2 = np.maximum(1 / cosine**2 - 1, 0)
-        expected = np.repeat(h, self._counts) / cosine
+        expected = np.repeat(h, self.counts) / cosine
         along = self.noise.of_beams(expected, self.directions)
         sigma = scale * np.sqrt(along**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
         shape = None
         if np.isfinite(self.half_size).any():
-            T, counts = se3.inverse(T_sensor_board), self._counts
+            T, counts = se3.inverse(T_sensor_board), self.counts
             on_board = np.stack([
                 np.einsum("in,ni->n", np.repeat(T[:, axis, :3].T, counts, axis=1), self.directions) * expected
                 + np.repeat(T[:, axis, 3], counts)
@@ -191,21 +192,18 @@ class RangeObservations:
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "RangeObservations":
         """See :class:`BoardViews`."""
-        start, kept = select_measurements(self.start, len(self.ranges), keep)
+        first, kept = select_measurements(self.first, len(self.ranges), keep)
         return replace(
             self,
-            board=self.board[keep],
-            start=start,
+            first=first,
             directions=self.directions.T[:, kept].T,
             ranges=self.ranges[kept],
             sigma=self.sigma[kept],
             ring=None if self.ring is None else self.ring[kept],
-            half_size=self.half_size[keep] if len(self.half_size) else self.half_size,
-            registered=self.registered[keep] if len(self.registered) else self.registered,
+            half_size=select_some(self.half_size, keep),
+            registered=select_some(self.registered, keep),
             bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
-            parameters=self.parameters.select(keep),
-            twist=select_motions(self.twist, keep),
-            motion_variance=select_motions(self.motion_variance, keep),
+            **self.select_shared(keep),
         )
 
     def with_rings(self, ring: Index) -> "RangeObservations":
@@ -219,23 +217,23 @@ class RangeObservations:
             ring=ring[order],
         )
 
-    def with_beams(self, board: Index, start: Index, directions: Array, ranges: Array) -> "RangeObservations":
+    def with_beams(self, board: Index, first: Index, directions: Array, ranges: Array) -> "RangeObservations":
         """Other beams of the same scanner, (N,), on boards like that of its first view.
 
         Beams of a multi-beam scanner belong to the ring of the nearest elevation.
         """
-        first = np.zeros(len(board), dtype=np.intp)
+        like_first = np.zeros(len(board), dtype=np.intp)
         beams = replace(
             self,
             board=board,
-            start=start,
+            first=first,
             directions=directions,
             ranges=ranges,
             sigma=np.ones(len(ranges)),
-            half_size=self.half_size[first] if len(self.half_size) else self.half_size,
-            registered=self.registered[first] if len(self.registered) else self.registered,
+            half_size=select_some(self.half_size, like_first),
+            registered=select_some(self.registered, like_first),
             bow_shape=None,
-            parameters=self.parameters.select(first),
+            parameters=self.parameters.select(like_first),
             twist=np.zeros((0, 6)),
             motion_variance=np.zeros((0, 6)),
         )
@@ -248,7 +246,7 @@ class RangeObservations:
         return beams.with_rings(nearest)
 
     @property
-    def _counts(self) -> Index:
+    def counts(self) -> Index:
         """(V,) number of beams of each view."""
         return np.diff(self.start, append=len(self.ranges))
 
@@ -270,7 +268,7 @@ class RangeObservations:
     def _intersect_planes(self, T_sensor_board: Array, directions: Array) -> tuple[Array, Array, Array]:
         """Offsets of the planes (V,), and of each beam the plane's normal (N, 3) and the cosine (N,) to it."""
         n, h = _board_planes(T_sensor_board)
-        normals = np.repeat(n.T, self._counts, axis=1)
+        normals = np.repeat(n.T, self.counts, axis=1)
         cosine = np.einsum("in,in->n", directions.T, normals)
         return h, normals.T, np.copysign(np.maximum(np.abs(cosine), self.min_cosine), cosine)
 

@@ -34,11 +34,6 @@ class StampGroup:
         return max(float(stamps[-1]) for stamps in self.stamps.values())
 
 
-def split_bursts(stamps: Array, max_gap: float) -> list[Array]:
-    """Splits ascending stamps (N,) where more than ``max_gap``, s, lies between two of them."""
-    return np.split(stamps, np.flatnonzero(np.diff(stamps) > max_gap) + 1) if len(stamps) else []
-
-
 def group_bursts(bursts: Mapping[str, Sequence[Array]], max_gap: float, max_spread: float) -> list[StampGroup]:
     """Groups the bursts of several sensors so that a group has at most one burst of each.
 
@@ -85,22 +80,6 @@ def group_bursts(bursts: Mapping[str, Sequence[Array]], max_gap: float, max_spre
     return groups_found[::-1]
 
 
-def group_frames(stamps: Mapping[str, Array], max_spread: float) -> list[StampGroup]:
-    """Sets of frames: at most one message of each sensor, all within ``max_spread``, s.
-
-    Args:
-        stamps: by sensor, ascending, s.
-        max_spread: maximum time between the first and the last stamp of a set, s.
-    """
-    frames = {name: list(np.unique(one)[:, None]) for name, one in stamps.items()}
-    return group_bursts(frames, max_spread, max_spread)
-
-
-def measure_spread(groups: Sequence[StampGroup]) -> float:
-    """Median time between the first and the last stamp of a group, s; 0 without groups."""
-    return float(np.median([group.end - group.start for group in groups])) if groups else 0.0
-
-
 @dataclass(frozen=True)
 class RecognizedMode:
     """How a recording shows the board."""
@@ -144,14 +123,17 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
         poses = max((len(_bursts(times)) for times in timeline.sensors.values()), default=0)
         return RecognizedMode("snapshots", f"the sensors measured {poses} times, with pauses in between")
     frames = find_frame_sets(timeline, capture)
-    spread = measure_spread(frames) if _are_synchronized(frames, timeline, settings) else None
+    spread = None
+    if _are_synchronized(frames, timeline, settings):
+        spread = float(np.median([one.end - one.start for one in frames])) if frames else 0.0
     if not any(np.nan_to_num(times.activity).any() for times in timeline.sensors.values()):
         reason = "the sensors measure continuously; how much their views change was not measured"
         return RecognizedMode("rest", reason, spread)
     begin = timeline.start
     rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
     # A moving board may rest for a moment: when the recording starts and ends, and where it is turned back.
-    share = sum(b - a for a, b in rests) / _duration(timeline)
+    duration = np.ptp(np.concatenate([times.stamps for times in timeline.sensors.values()]))
+    share = sum(b - a for a, b in rests) / max(float(duration), 1e-9)
     enough = len(rests) >= _MIN_RESTS or (len(rests) >= settings.min_poses and share >= _MIN_REST_SHARE)
     rested = enough and not _are_moving(timeline, rests)
     if rests and (spread is None or rested):
@@ -175,11 +157,6 @@ def _are_moving(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]
     )
 
 
-def _duration(timeline: RecordingTimeline) -> float:
-    stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
-    return max(float(np.ptp(stamps)), 1e-9)
-
-
 def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
     """Whether no two messages of a sensor lie within twice ``max_gap``, s: each pose has one of each."""
     gaps = [np.diff(times.stamps) for times in timeline.sensors.values() if len(times.stamps) > 1]
@@ -193,12 +170,16 @@ _MAX_SPREAD_SHARE = 0.35
 
 
 def find_frame_sets(timeline: RecordingTimeline, capture: Capture) -> list[StampGroup]:
-    """The sets of frames of different sensors within ``capture.max_spread``, or a share of the shortest period."""
+    """The sets of frames of different sensors within ``capture.max_spread``, or a share of the shortest period.
+
+    A set has at most one message of each sensor.
+    """
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
     if not periods:
         return []
     max_spread = capture.max_spread or _MAX_SPREAD_SHARE * min(periods)
-    return group_frames({name: times.stamps for name, times in timeline.sensors.items()}, max_spread)
+    frames = {name: list(np.unique(times.stamps)[:, None]) for name, times in timeline.sensors.items()}
+    return group_bursts(frames, max_spread, max_spread)
 
 
 def find_snapshots(timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings) -> list[StampGroup]:
@@ -253,7 +234,9 @@ def _has_separate_bursts(timeline: RecordingTimeline, settings: CaptureSettings)
 
 
 def _bursts(times: SensorTimes) -> list[Array]:
-    return split_bursts(times.stamps, MAX_MOTION_PERIOD)
+    """The stamps of a sensor, split where it pauses."""
+    stamps = times.stamps
+    return np.split(stamps, np.flatnonzero(np.diff(stamps) > MAX_MOTION_PERIOD) + 1) if len(stamps) else []
 
 
 # Maximum median deviation of the pauses of a sensor over their median in a periodic stream: drivers keep their
@@ -291,23 +274,16 @@ def recognize_recording(
     """
     if len(topics) < 2:
         return None
-    try:
-        return _recognize(recording, topics, empty_end, settings)
-    except RecordingError:
-        return None
-
-
-def _recognize(
-    recording: Recording, topics: Collection[str], empty_end: float, settings: CaptureSettings
-) -> RecognizedMode:
     names = {topic: topic for topic in topics}
     start, is_small = recording.start, sum(topic.count for topic in recording.topics) <= _MAX_MESSAGES
     end = recording.end if is_small else start + _DURATION
-    mode = recognize_mode(
-        build_timeline(recording.records(topics, start, end), start, names, None), Capture(), settings
-    )
-    if mode.mode == "snapshots":
-        return mode
-    meters = {topic: ActivityMeter(BASELINE) for topic in topics}
-    records = recording.records(topics, start + empty_end, end)
-    return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)
+    try:
+        timeline = build_timeline(recording.records(topics, start, end), start, names, None)
+        mode = recognize_mode(timeline, Capture(), settings)
+        if mode.mode == "snapshots":
+            return mode
+        meters = {topic: ActivityMeter(BASELINE) for topic in topics}
+        records = recording.records(topics, start + empty_end, end)
+        return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)
+    except RecordingError:
+        return None

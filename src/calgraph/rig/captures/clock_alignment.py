@@ -218,14 +218,11 @@ def estimate_clock_offsets(
     known = {name: 0.0 for name in timeline.sensors if name not in wanted} or {root: 0.0}
     found: dict[str, ClockOffset] = {}
     while True:
-        ranked = [
-            (one.distinction, name, one)
-            for name in wanted
-            if name not in known and (one := _search(name, pairs, known)) is not None
-        ]
+        searched = {name: _search(name, pairs, known) for name in wanted if name not in known}
+        ranked = [(one[0], name, one[1]) for name, one in searched.items() if one is not None]
         if not ranked:
             return found
-        _, name, one = max(ranked)
+        _, name, one = max(ranked, key=lambda item: item[:2])
         found[name] = ClockOffset(0.0 if abs(one.offset) < _RESOLUTION else one.offset, one.correlation)
         known[name] = found[name].offset
 
@@ -329,16 +326,11 @@ def _interpolate(offsets: Array, grid: Array, values: Array) -> Array:
     return found
 
 
-@dataclass(frozen=True)
-class _Searched(ClockOffset):
-    """An offset that stands out among all."""
+def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> tuple[float, ClockOffset] | None:
+    """The offset that stands out among all with which the sensor's view overlaps others; None if none does.
 
-    distinction: float
-    """Log-likelihood minus that of the next best one."""
-
-
-def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> _Searched | None:
-    """The offset that stands out among all with which the sensor's view overlaps others; None if none does."""
+    First, its log-likelihood minus that of the next best one.
+    """
     grids = [grid for grid, _, _ in _select_pairs(name, pairs, known) if len(grid)]
     if not grids:
         return None
@@ -349,7 +341,7 @@ def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> _Searched | 
     distinction = float(likelihood[best] - rival)
     if likelihood[best] < _MIN_LIKELIHOOD or distinction < _MIN_DISTINCTION:
         return None
-    return _Searched(float(offsets[best]), float(correlation[best]), distinction)
+    return distinction, ClockOffset(float(offsets[best]), float(correlation[best]))
 
 
 def _find_late(

@@ -267,16 +267,12 @@ def _find_entry(records: Iterable[RecordedMessage], start: float) -> EmptyStart 
             entered[topic] = time
         else:
             first = min(entered, key=lambda one: entered[one])
-            if _paused(times[first], entered[first]):
+            periods = np.diff(times[first])
+            before = periods[: times[first].index(entered[first])]
+            if (before > _MAX_PAUSE * np.median(periods)).any():
                 return None
             return EmptyStart(_round_down(entered[first] - _ENTRY_MARGIN), entered[first], first)
     return None
-
-
-def _paused(times: Sequence[float], until: float) -> bool:
-    """Whether a scanner with messages at these times, s, paused before one of them or earlier."""
-    periods = np.diff(times)
-    return bool((periods[: list(times).index(until)] > _MAX_PAUSE * np.median(periods)).any())
 
 
 def _round_down(time: float) -> float:

@@ -14,8 +14,8 @@ from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
 from calgraph.parallel.kept_values import Kept
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.result import Snapshot
-from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.captures.holds import Hold, sample_evenly
+from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMessage
 
@@ -46,9 +46,9 @@ def plan_previews(holds: Sequence[Hold], rig: Rig) -> dict[int, PreviewSize]:
     """
     if not rig.sensors:
         return {}
-    large = _sample_indices(len(holds), min(_MAX_LARGE, int(_BUDGETS[_LARGE] / _estimate_bytes(_LARGE, rig))))
-    remaining = np.setdiff1d(np.arange(len(holds)), large)
-    small = remaining[_sample_indices(len(remaining), int(_BUDGETS[_SMALL] / _estimate_bytes(_SMALL, rig)))]
+    limits = {size: int(budget / _estimate_bytes(size, rig)) for size, budget in _BUDGETS.items()}
+    large = sample_evenly(np.arange(len(holds)), min(_MAX_LARGE, limits[_LARGE]))
+    small = sample_evenly(np.setdiff1d(np.arange(len(holds)), large), limits[_SMALL])
     chosen = dict.fromkeys(large.tolist(), _LARGE) | dict.fromkeys(small.tolist(), _SMALL)
     return {hold.index: chosen[k] for k, hold in enumerate(holds) if k in chosen}
 
@@ -93,11 +93,6 @@ def _subsample_points(points: Array, limit: int) -> NDArray[np.float32]:
         offsets = (np.arange(limit) * _GOLDEN) % 1
         points = points[((np.arange(limit) + offsets) * stride).astype(np.intp)]
     return points.astype(np.float32)
-
-
-def _sample_indices(count: int, limit: int) -> NDArray[np.intp]:
-    """At most ``limit`` of ``count`` indices, evenly spaced."""
-    return np.linspace(0, count - 1, min(count, limit)).round().astype(np.intp)
 
 
 Result = TypeVar("Result")
@@ -280,23 +275,15 @@ def _divide(
     for hold in holds:
         names = [name for name in topics if (hold.index, name) not in skipped]
         if names:
-            arrivals = np.concatenate(
-                [_find_arrivals(messages.timeline.sensors[name], hold.stamps[name]) for name in names]
-            )
-            spans[hold.index] = _find_span(arrivals, messages.reference.span[1])
+            # Of several messages with the same stamp, the first one.
+            arrivals = [
+                arrival
+                for times, stamps in ((messages.timeline.sensors[name], hold.stamps[name]) for name in names)
+                for arrival in times.arrivals[np.searchsorted(times.stamps, stamps)].tolist()
+            ] or [messages.reference.span[1]]
+            spans[hold.index] = min(arrivals), max(arrivals)
     ordered = sorted((hold for hold in holds if hold.index in spans), key=lambda hold: spans[hold.index])
     size = max(-(-len(ordered) // count), 1)
     for k in range(0, len(ordered), size):
         part = ordered[k : k + size]
         yield part, spans[part[0].index][0], max(spans[hold.index][1] for hold in part)
-
-
-def _find_arrivals(times: SensorTimes, stamps: Array) -> Array:
-    """When the messages of some stamps (N,) arrived, s; the first one of several with the same stamp."""
-    found: Array = times.arrivals[np.searchsorted(times.stamps, stamps)]
-    return found
-
-
-def _find_span(arrivals: Array, default: float) -> tuple[float, float]:
-    """The first and the last one; the default where there is none."""
-    return (float(arrivals.min()), float(arrivals.max())) if len(arrivals) else (default, default)

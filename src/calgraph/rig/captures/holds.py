@@ -3,8 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config import Capture, Rig
 from calgraph.config.settings import CaptureSettings
@@ -54,7 +56,10 @@ def find_holds(timeline: RecordingTimeline, capture: Capture, settings: CaptureS
                 f"all {len(sets)} sets of frames lie in capture.background or capture.exclude; make these "
                 "shorter, or record longer"
             )
-        found = _hold_frames(frames, timeline, settings.moving_board.max_captures)
+        chosen = select_frame_sets(frames, timeline, settings.moving_board.max_captures)
+        # After the captures, the frames that show the velocity of the board.
+        velocities = _hold_groups(find_neighbours(chosen, timeline), timeline, auxiliary=True)
+        found = [*_hold_groups(chosen, timeline), *velocities]
     else:
         if capture.trigger:
             candidates = _select_messages(timeline, _find_spans_by_trigger(timeline), 0.0)
@@ -86,24 +91,8 @@ def _select_messages(
 
 def _hold_groups(groups: list[StampGroup], timeline: RecordingTimeline, *, auxiliary: bool = False) -> list[Hold]:
     """One hold a group, with all of its messages."""
-    none = np.zeros(0)
-    return [
-        Hold(
-            0,
-            group.start,
-            group.end,
-            {name: group.stamps.get(name, none) for name in timeline.sensors},
-            auxiliary=auxiliary,
-        )
-        for group in groups
-    ]
-
-
-def _hold_frames(frames: list[StampGroup], timeline: RecordingTimeline, limit: int) -> list[Hold]:
-    """The sets of frames that are captures, and after them those that show the velocity of the board."""
-    chosen = select_frame_sets(frames, timeline, limit)
-    neighbours = find_neighbours(chosen, timeline)
-    return [*_hold_groups(chosen, timeline), *_hold_groups(neighbours, timeline, auxiliary=True)]
+    nothing = dict.fromkeys(timeline.sensors, np.zeros(0))
+    return [Hold(0, one.start, one.end, {**nothing, **one.stamps}, auxiliary=auxiliary) for one in groups]
 
 
 def _explain_no_holds(timeline: RecordingTimeline, capture: Capture, mode: str) -> str:
@@ -278,9 +267,11 @@ def _select_nearest(stamps: Array, times: Array) -> Array:
     return stamps[nearest] if len(nearest) == len(times) else sample_evenly(stamps, len(times))
 
 
-def sample_evenly(stamps: Array, count: int) -> Array:
-    """At most ``count`` of the stamps (N,), evenly chosen."""
-    if len(stamps) <= count:
-        return stamps
-    sampled: Array = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
-    return sampled
+Values = TypeVar("Values", bound=NDArray[Any])
+
+
+def sample_evenly(values: Values, count: int) -> Values:
+    """At most ``count`` of values (N,), evenly chosen."""
+    if len(values) <= count:
+        return values
+    return cast("Values", values[np.linspace(0, len(values) - 1, count).round().astype(int)])

@@ -180,34 +180,21 @@ def move_detection(
         assert camera is not None
         corners = detection.corners_board
         shift = camera.project(se3.apply(after, corners)) - camera.project(se3.apply(before, corners))
-        moved = plane.from_pose(after)
-        return replace(
-            detection,
-            pixels=detection.pixels + shift,
-            T_camera_board=after,
-            plane=moved if moved @ detection.plane >= 0 else -moved,
-            twist=twist,
-        )
+        surface = plane.from_pose(after)
+        surface = surface if surface @ detection.plane >= 0 else -surface
+        pixels = detection.pixels + shift
+        return replace(detection, pixels=pixels, T_camera_board=after, plane=surface, twist=twist)
     u = detection.directions
     at_beam = motion.pose_at(detection.times - detection.times.mean()) if len(detection.times) else before
     ranges = detection.ranges + _distance_along(u, after) - _distance_along(u, at_beam)
     on_board = np.mean(np.linalg.norm(detection.points, axis=1))
     edges = se3.apply(M, detection.edges * on_board)
     edges = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    if isinstance(detection, Segment):
-        ends = se3.apply(M, detection.endpoints)
-        return replace(detection, ranges=ranges, endpoints=ends, edges=edges, times=np.zeros(0), twist=twist)
-    center = se3.apply(M, detection.center[None])[0]
-    n = after[:3, 2]
-    return replace(
-        detection,
-        ranges=ranges,
-        plane=np.append(n, -n @ after[:3, 3]),
-        center=center,
-        edges=edges,
-        times=np.zeros(0),
-        twist=twist,
-    )
+    moved = replace(detection, ranges=ranges, edges=edges, times=np.zeros(0), twist=twist)
+    if isinstance(moved, Segment):
+        return replace(moved, endpoints=se3.apply(M, moved.endpoints))
+    n, center = after[:3, 2], se3.apply(M, moved.center[None])[0]
+    return replace(moved, plane=np.append(n, -n @ after[:3, 3]), center=center)
 
 
 def _distance_along(directions: Array, T_sensor_board: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 from calgraph.boards.camera import PlaneEstimator
 from calgraph.boards.tags import Marks
-from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
+from calgraph.config import CameraSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
@@ -186,18 +186,15 @@ def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMess
     return recording.records(scanners, *(recording.start + t for t in window))
 
 
-def list_conversion_inputs(spec: SensorSpec) -> Intrinsics | None:
-    """What the messages of a sensor depend on besides the recording, where they are converted images."""
-    return spec.stated_intrinsics if isinstance(spec, OpticalSpec) and KINDS[spec.kind].convert else None
-
-
 def list_shared_inputs(name: str, rig: Rig, holds: Sequence[Hold]) -> dict[str, Any]:
     """What all that is found in a sensor's messages depends on: the messages, their noise, and the boards."""
     spec = rig.sensors[name]
+    # Messages that are converted images depend on them.
+    intrinsics = spec.stated_intrinsics if isinstance(spec, OpticalSpec) and KINDS[spec.kind].convert else None
     return {
         "topic": spec.topic,
         "noise": spec.noise,
-        "intrinsics": list_conversion_inputs(spec),
+        "intrinsics": intrinsics,
         "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
         "captures": [(hold.index, hold.stamps[name]) for hold in holds],
     }

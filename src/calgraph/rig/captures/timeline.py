@@ -112,31 +112,11 @@ def build_timeline(
             if not isinstance(message, PointCloud) or not message.is_empty:
                 measured.add(name)
         activity[name].append(meter.measure_change(message) if meter and message else 0.0)
-    return RecordingTimeline(
-        start,
-        {
-            name: _sort_times(
-                stamps[name],
-                arrivals[name],
-                activity[name],
-                *first.get(name, (0.0, "", "")),
-                meters[name].baseline if meters else 0.0,
-            )
-            for name in topics
-        },
-        np.unique(np.array(triggers)),
-    )
-
-
-def _sort_times(
-    stamps: list[float],
-    arrivals: list[float],
-    activity: list[float],
-    duration: float,
-    frame_id: str,
-    message: str,
-    baseline: float,
-) -> SensorTimes:
-    order = np.argsort(stamps, kind="stable")
-    by_stamp = [np.array(values)[order] for values in (stamps, activity, arrivals)]
-    return SensorTimes(by_stamp[0], duration, by_stamp[1], frame_id, message, by_stamp[2], baseline)
+    sensors = {}
+    for name in topics:
+        order = np.argsort(stamps[name], kind="stable")
+        of_stamps, changes, arrived = (np.array(one[name])[order] for one in (stamps, activity, arrivals))
+        duration, frame_id, message_type = first.get(name, (0.0, "", ""))
+        baseline = meters[name].baseline if meters else 0.0
+        sensors[name] = SensorTimes(of_stamps, duration, changes, frame_id, message_type, arrived, baseline)
+    return RecordingTimeline(start, sensors, np.unique(np.array(triggers)))

@@ -32,10 +32,10 @@ from calgraph.result import (
 from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import Node
+from calgraph.rig.bundle.bundle_solver import view_state
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import prior_error_derivatives
 from calgraph.rig.bundle.error_sources import DRIFT, split_covariance
-from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import frame_id
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -125,16 +125,14 @@ def _views_of_bundle(solution: RigSolution) -> Iterator[BoardView]:
     for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         if not len(views.board):  # its pose is a prior
             continue
-        T_sensor_board = relative_poses(state.T_root_sensor[s], state.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, state.extra[bundle.extra_indices(s)]).residual
+        T_sensor_board, extra = view_state(bundle, state, s)
+        errors = -views.unwhiten(views.linearize(T_sensor_board, extra).residual)
         if isinstance(views, CornerObservations):
-            measured, errors = views.pixels, -residual * views.noise_scale * views.noise.pixel
+            measured = views.pixels
         else:
             assert isinstance(views, RangeObservations)
-            count = np.diff(views.start, append=len(views.ranges))
-            normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
             measured = views.directions * views.ranges[:, None]
-            errors = -residual[:, 0] * views.sigma * np.abs(np.sum(normal * views.directions, axis=1))
+            errors = errors[:, 0] * views.incidence(T_sensor_board)
         parts = (np.split(values, views.start[1:]) for values in (measured, errors))
         for board, points, error in zip(views.board, *parts, strict=True):
             yield BoardView(int(solved.captures[board]), name, True, points, error)
@@ -258,22 +256,28 @@ def assemble_rig(
         reasons = {name: reasons.get(name, of_root) for name in connected}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     rows, budget = _rows_of(solution, root_first), _split_budget(solution, root_first, drifts)
+    sensors, covariance = [], solution.covariance
+    for k, name in enumerate(root_first):
+        spec, T = rig.sensors[name], solution.T_root_sensor[name]
+        verdict = LONE_ROOT if len(connected) == 1 else grade_pose(
+            name, spec.kind, T, covariance[name], reasons.get(name, ()), ambiguous.get(name, 0.0),
+            tolerance=rig.tolerance, settings=settings, shares=budget.shares_by_source(k) if budget else {},
+            remedy=next((one for one in remedies if one.sensor == name), None),
+        )  # fmt: skip
+        sensors.append(
+            SensorPose(
+                name=name,
+                parent=tree.parents.get(name),
+                frame_id=frame_id(name, rig, captures),
+                kind=spec.kind,
+                T_root_sensor=T,
+                intrinsics=_refine_intrinsics(name, spec, solution),
+                verdict=verdict,
+            )
+        )
     return Calibration(
         root=rig.root,
-        sensors=tuple(
-            _assemble_sensor(
-                name,
-                rig,
-                captures,
-                tree,
-                solution,
-                reasons.get(name, ()),
-                ambiguous.get(name, 0.0),
-                budget.shares_by_source(k) if budget else {},
-                next((one for one in remedies if one.sensor == name), None),
-            )
-            for k, name in enumerate(root_first)
-        ),
+        sensors=tuple(sensors),
         joint_covariance=solution.joint_covariance[np.ix_(rows, rows)],
         systematic=solution.systematic,
         prior_errors=_collect_prior_errors(solution, root_first),
@@ -299,43 +303,6 @@ def assemble_rig(
             snapshots=captures.snapshots,
             board_outlines=collect_board_outlines(rig, captures, used, solution),
             board_views=collect_board_views(captures, used, solution),
-        ),
-    )
-
-
-def _assemble_sensor(
-    name: str,
-    rig: Rig,
-    captures: CaptureSet,
-    tree: SpanningTree,
-    solution: RigSolution,
-    contradictions: Sequence[str],
-    ambiguity: float,
-    shares: Mapping[str, Array],
-    remedy: Remedy | None,
-) -> SensorPose:
-    spec = rig.sensors[name]
-    T, covariance = solution.T_root_sensor[name], solution.covariance[name]
-    return SensorPose(
-        name=name,
-        parent=tree.parents.get(name),
-        frame_id=frame_id(name, rig, captures),
-        kind=spec.kind,
-        T_root_sensor=T,
-        intrinsics=_refine_intrinsics(name, spec, solution),
-        verdict=LONE_ROOT
-        if len(solution.T_root_sensor) == 1
-        else grade_pose(
-            name,
-            spec.kind,
-            T,
-            covariance,
-            contradictions,
-            ambiguity,
-            tolerance=rig.tolerance,
-            settings=rig.settings.diagnostics.verdict,
-            shares=shares,
-            remedy=remedy,
         ),
     )
 

@@ -19,7 +19,7 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleState,
     minimize_bundle,
 )
-from calgraph.rig.bundle.covariances import gradient_by_board, pose_jacobian, sum_information
+from calgraph.rig.bundle.covariances import axis_jacobian, gradient_by_board, sum_information
 from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.solution import SolvedBundle
 
@@ -97,16 +97,20 @@ def bootstrap_poses(
     gradient = of_capture @ gradient_by_board(bundle, equations)
     V = equations.covariance
     to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
-    axes = to_sensor @ pose_jacobian(bundle, state).reshape(len(to_sensor), 6, -1)
+    axes = axis_jacobian(bundle, state)
     H, _, _ = equations.eliminate_boards()
-    squares, stated = np.zeros(axes.shape[:2]), np.sqrt(_axis_variances(axes, V))
+    stated = np.sqrt(np.einsum("sig,gh,sih->si", axes, V, axes, optimize=True))
+    squares = np.zeros_like(stated)
     free = axes[:, 0].any(axis=-1)
     for i in range(rounds):
         counts = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
         by_gradient, expected = _difference_variances(information, H, V, axes, counts)
         if exact:
             boards = np.repeat(np.arange(len(capture)), counts[capture])
-            T_root_sensor = _solve_sample(bundle, state, equations, boards, _BOOTSTRAP_MAX_STEPS)
+            resampled, cache, start = _resample_bundle(bundle, state, equations, boards)
+            T_root_sensor = minimize_bundle(
+                resampled, start, cache, iterations=_BOOTSTRAP_MAX_STEPS, tolerance=COARSE_TOLERANCE, exact=False
+            ).state.T_root_sensor
             along = (to_sensor @ se3.difference(T_root_sensor, state.T_root_sensor)[..., None])[..., 0]
         else:
             along = -by_gradient @ ((counts - 1.0) @ gradient)
@@ -128,17 +132,6 @@ def _without_tails(bundle: Bundle, state: BundleState) -> Bundle:
         replace(one, prior_stddev=s) for one, s in zip(bundle.extra_parameters, stddev.tolist(), strict=True)
     ]
     return replace(bundle, extra_parameters=tuple(parameters), prior_tail=1e9)
-
-
-def _solve_sample(
-    bundle: Bundle, state: BundleState, equations: BundleEquations, boards: Index, max_steps: int
-) -> Array:
-    """(S, 4, 4) poses by the drawn boards (B,), which may repeat."""
-    resampled, cache, start = _resample_bundle(bundle, state, equations, boards)
-    sample = minimize_bundle(
-        resampled, start, cache, iterations=max_steps, tolerance=COARSE_TOLERANCE, exact=False
-    )
-    return sample.state.T_root_sensor
 
 
 def _resample_bundle(
@@ -181,11 +174,6 @@ def _difference_variances(
     known = added @ by_gradient
     variances = np.sum(by_gradient * (squares @ by_gradient) - known * (V @ known), axis=0)
     return np.asarray(by_gradient.T.reshape(axes.shape)), np.asarray(variances.reshape(axes.shape[:2]))
-
-
-def _axis_variances(axes: Array, V: Array) -> Array:
-    """(S, 6) along axes (S, 6, G)."""
-    return np.asarray(np.einsum("sig,gh,sih->si", axes, V, axes, optimize=True))
 
 
 def _confidence_factors(

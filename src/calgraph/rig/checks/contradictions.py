@@ -1,7 +1,6 @@
 """Everything that contradicts the calibration of a rig."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from math import comb
 
 import numpy as np
@@ -165,36 +164,12 @@ _MAX_RING_BIAS = 0.01
 
 def _describe_view_bias(noise: MeasuredNoise) -> str:
     """Sizes of the variance components of views that exceed their limits; empty where none does."""
-    sizes = []
-    if noise.view_bias > _MAX_VIEW_BIAS:
-        sizes.append(f"{1000 * noise.view_bias:.1f} mm")
-    if noise.view_tilt > _MAX_VIEW_TILT:
-        sizes.append(f"{np.degrees(noise.view_tilt):.2f}°")
-    if noise.ring_bias > _MAX_RING_BIAS:
-        sizes.append(f"{1000 * noise.ring_bias:.1f} mm in each ring")
-    return " and ".join(sizes)
-
-
-@dataclass(frozen=True, eq=False)
-class _SharedCaptures:
-    """The captures that a sensor shares with others, in the order of time."""
-
-    lost: NDArray[np.bool_]
-    """(N,) whether each is lost."""
-
-    @property
-    def lost_count(self) -> int:
-        return int(self.lost.sum())
-
-    @property
-    def last_lost_count(self) -> int:
-        """Number of lost captures after the last one that is not."""
-        return len(self.lost) - 1 - int(np.flatnonzero(~self.lost).max(initial=-1))
-
-    def chance_of_last_losses(self) -> float:
-        """Probability that as many of the last captures are lost if those that are lost are drawn at random."""
-        count, lost, last = len(self.lost), self.lost_count, self.last_lost_count
-        return comb(count - last, lost - last) / comb(count, lost)
+    sizes = (
+        (noise.view_bias > _MAX_VIEW_BIAS, f"{1000 * noise.view_bias:.1f} mm"),
+        (noise.view_tilt > _MAX_VIEW_TILT, f"{np.degrees(noise.view_tilt):.2f}°"),
+        (noise.ring_bias > _MAX_RING_BIAS, f"{1000 * noise.ring_bias:.1f} mm in each ring"),
+    )
+    return " and ".join(size for exceeds, size in sizes if exceeds)
 
 
 # Share of a sensor's shared captures that may be rejected without a remark.
@@ -214,17 +189,17 @@ def find_lost_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[F
         solved: the joint solution.
     """
     bundle = solved.bundle
-    shared = dict(zip(bundle.sensors, _list_shared_captures(captures, solved), strict=True))
-    if losses := {n: s for n, s in shared.items() if s.lost_count > _MAX_LOST_SHARE * len(s.lost)}:
-        parts = ", ".join(f"{one.lost_count} of {len(one.lost)} of {name}" for name, one in losses.items())
-        weak = {n for n, s in losses.items() if s.lost_count > _MAX_GOOD_LOST_SHARE * len(s.lost)}
+    lost = dict(zip(bundle.sensors, _find_lost_of_shared(captures, solved), strict=True))
+    if losses := {name: one for name, one in lost.items() if one.sum() > _MAX_LOST_SHARE * len(one)}:
+        parts = ", ".join(f"{one.sum()} of {len(one)} of {name}" for name, one in losses.items())
+        weak = {name for name, one in losses.items() if one.sum() > _MAX_GOOD_LOST_SHARE * len(one)}
         yield Finding(
             f"captures that sensors share were rejected, {parts}: check that the board rests in each capture, "
             "that nothing in view is like it, and that clocks agree",
             _find_dependent_sensors(bundle, weak),
         )
-    if last := {n: s for n, s in shared.items() if _are_last_lost(s)}:
-        parts = ", ".join(f"{one.last_lost_count} of {len(one.lost)} of {name}" for name, one in last.items())
+    if last := {name: one for name, one in lost.items() if _are_last_lost(one)}:
+        parts = ", ".join(f"{_count_last(one)} of {len(one)} of {name}" for name, one in last.items())
         yield Finding(
             f"the last captures that sensors share were rejected, {parts}: a sensor may have moved before them; "
             "fix the sensors to the robot, and record again",
@@ -232,8 +207,8 @@ def find_lost_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[F
         )
 
 
-def _list_shared_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[_SharedCaptures]:
-    """Those of each sensor."""
+def _find_lost_of_shared(captures: CaptureSet, solved: SolvedBundle) -> Iterator[NDArray[np.bool_]]:
+    """Of each sensor, which of the captures that it shares with others, in the order of time, are lost."""
     bundle = solved.bundle
     views = np.zeros(len(solved.captures), dtype=np.intp)
     for of_sensor in bundle.views:
@@ -242,7 +217,12 @@ def _list_shared_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterato
         others = {c for other in bundle.sensors if other != name for c in captures.detections[other]}
         shared = sorted(others & set(captures.detections[name]))
         tied = solved.captures[of_sensor.board[views[of_sensor.board] > 1]]
-        yield _SharedCaptures(~np.isin(shared, tied))
+        yield ~np.isin(shared, tied)
+
+
+def _count_last(lost: NDArray[np.bool_]) -> int:
+    """Number of lost captures after the last one that is not."""
+    return len(lost) - 1 - int(np.flatnonzero(~lost).max(initial=-1))
 
 
 # Minimum number of a sensor's last shared captures that are all rejected for it to be weak, as it may have been
@@ -254,14 +234,14 @@ _MIN_LAST_LOSSES = 2
 _LAST_LOSSES_PROBABILITY = 0.1
 
 
-def _are_last_lost(shared: _SharedCaptures) -> bool:
+def _are_last_lost(lost: NDArray[np.bool_]) -> bool:
     """Whether as many of the last captures are lost as those that are lost at random rarely are.
 
     Without further captures after a bump, its captures are outliers of the pose before it.
     """
-    return (
-        shared.last_lost_count >= _MIN_LAST_LOSSES and shared.chance_of_last_losses() <= _LAST_LOSSES_PROBABILITY
-    )
+    count, total, last = len(lost), int(lost.sum()), _count_last(lost)
+    chance = comb(count - last, total - last) / comb(count, total)
+    return last >= _MIN_LAST_LOSSES and chance <= _LAST_LOSSES_PROBABILITY
 
 
 def _find_dependent_sensors(bundle: Bundle, inconsistent: Collection[str]) -> tuple[str, ...]:
@@ -389,8 +369,7 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
         if isinstance(views, CornerObservations):
             spec = rig.sensors[bundle.sensors[k]]
             assert isinstance(spec, CameraSpec)
-            prior = spec.uncertainty.distortion
-            yield from _find_wrong_distortion(bundle, estimates, k, views, prior, MAX_PRIOR_DEVIATION)
+            yield from _find_wrong_distortion(bundle, estimates, k, views, spec.uncertainty.distortion)
 
 
 def _group_parameters(bundle: Bundle) -> list[Index]:
@@ -415,12 +394,7 @@ def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, other
 
 
 def _find_wrong_distortion(
-    bundle: Bundle,
-    estimates: ParameterEstimates,
-    k: int,
-    views: CornerObservations,
-    prior: float,
-    max_deviation: float,
+    bundle: Bundle, estimates: ParameterEstimates, k: int, views: CornerObservations, prior: float
 ) -> Iterator[Finding]:
     """A camera whose distortion displaces the farthest observed corner more than its prior allows.
 
@@ -440,7 +414,7 @@ def _find_wrong_distortion(
     J = views.camera.project_by_intrinsics(ray)[0, :, 4 : 4 + len(index)]
     displacement = float(np.linalg.norm(J @ estimates.deviation[index]))
     expected = float(np.linalg.norm(J * estimates.prior_stddev[index]))
-    if displacement > max(max_deviation * expected, prior):
+    if displacement > max(MAX_PRIOR_DEVIATION * expected, prior):
         yield Finding(
             f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "
             f"{displacement:.0f} px, {displacement / expected:.1f} times their uncertainty in rig.yaml: "

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import InputError
-from calgraph.geometry import Array, Index, se3, se_n
+from calgraph.geometry import Array, Index, matvec, se3, se_n
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.processes import forked_jobs
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
-from calgraph.rig.bundle.board_motions import velocity_along_sensor
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
@@ -33,11 +32,11 @@ from calgraph.rig.bundle.bundle_solver import (
     linearize_bundle,
     minimize_bundle,
     retract_state,
+    view_state,
 )
-from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.normal_equations import accumulate
-from calgraph.rig.bundle.observations import BoardViews, relative_poses
+from calgraph.rig.bundle.observations import BoardViews, velocity_along_sensor
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.solver.squared_distances import compute_squared_distances
@@ -92,10 +91,7 @@ def cross_validate(
     if folds < 2:
         raise InputError(f"`folds`: must be 0 for none, or 2 and more, got {folds}")
     bundle = solved.bundle
-    units: dict[str, Literal["px", "m"]] = {
-        name: "px" if isinstance(views, CornerObservations) else "m"
-        for name, views in zip(bundle.sensors, bundle.views, strict=True)
-    }
+    units = {name: views.unit for name, views in zip(bundle.sensors, bundle.views, strict=True)}
     fold_of = np.unique(solved.captures, return_inverse=True)[1] % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     given = Kept.of(solved)
@@ -141,7 +137,7 @@ def _solve_boards(
     """Boards located by all sensors, whose poses are fixed."""
     fixed, equations = np.zeros(bundle.parameter_count), linearize_bundle(bundle, state, cache)
     for _ in range(_BOARD_STEPS if np.isfinite(equations.cost) else 0):
-        step = _multiply(_invert_information(equations.H_board), -equations.g_board)
+        step = matvec(_invert_information(equations.H_board), -equations.g_board)
         moved = retract_state(bundle, state, fixed, step)
         after = linearize_bundle(bundle, moved, cache)
         # A step that puts a board behind a camera is not taken.
@@ -172,8 +168,7 @@ def _compare_with_prediction(
         covariance: (G, G) of the sensors.
         sensor: the predicted one.
     """
-    views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
-    T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
+    views, (T_board, extra) = bundle.views[sensor], view_state(bundle, state, sensor)
     observed = accumulate(views.linearize(T_board, extra), views.start, HUBER_THRESHOLD)
     prior = [bundle.extra_parameters[i].prior_stddev for i in bundle.extra_indices(sensor)]
     # Systematic parameters are predicted at least as well as by their priors.
@@ -181,7 +176,7 @@ def _compare_with_prediction(
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *small])
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
     x, X = _predict_boards(bundle, equations, covariance, sensor)
-    X, free = _split_predicted(X * meters * meters[:, None], _PREDICTED_BOARD_STDDEV)
+    X, free = _split_predicted(X * meters * meters[:, None])
     X += np.eye(len(meters)) * (_bias_variances(bundle, sensor) * meters**2)[:, None]
     velocity = velocity_along_sensor(views.twist, T_board)
     if velocity is not None:
@@ -191,19 +186,19 @@ def _compare_with_prediction(
     least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)
     follow = loose @ loose
-    x = x * meters - _multiply(follow, _multiply(A, x * meters) + b)
+    x = x * meters - matvec(follow, matvec(A, x * meters) + b)
     stay = np.eye(len(meters)) - follow @ A
     X = stay @ X @ se_n.transpose(stay) - follow
     root, inverse = _symmetric_roots(A, least)
     # Along directions that the sensor does not measure, a first-order step may be arbitrarily long: it is zero.
-    x = _multiply(root @ inverse, x)
+    x = matvec(root @ inverse, x)
     # In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
-    error, covariance = _multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse)
+    error, covariance = matvec(root, x) + matvec(inverse, b), root @ (X @ root + inverse)
     covariance = (covariance + se_n.transpose(covariance)) / 2
     squared, dof = compute_squared_distances(error, covariance, 0.5, np.ones(len(meters)))
     tested = dof > 0
     T_predicted = se3.retract(T_board, x[:, :6] / meters[:6])
-    T_own = se3.retract(T_board, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
+    T_own = se3.retract(T_board, -matvec(inverse @ inverse, b)[:, :6] / meters[:6])
     tilted = tested & _observes_tilt(A, T_board, bundle.lever, _COMPARED_TILT_STDDEV)
     error, along = _error_sizes(views.select(tested), T_predicted[tested], extra)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
@@ -240,7 +235,7 @@ def _predict_boards(
     of_sensor, B = view_jacobians(omitted)
     Jt = se_n.transpose(omitted.J_board)
     L = _invert_information(equations.H_board[board] - Jt @ omitted.information @ omitted.J_board)
-    step = -_multiply(L, equations.g_board[board] - _multiply(Jt, omitted.gradient))
+    step = -matvec(L, equations.g_board[board] - matvec(Jt, omitted.gradient))
     coupling, columns = equations.H_board_sensor[board], bundle.columns(sensor)
     coupling[..., columns] -= Jt @ omitted.information @ omitted.J_sensor
     # Of boards (6) and the sensor's columns (n): with a residual distortion, p and n are a hundred, G thousands.
@@ -249,13 +244,13 @@ def _predict_boards(
     between = B @ shared[..., columns] @ se_n.transpose(of_sensor)
     own = of_sensor @ covariance[np.ix_(columns, columns)] @ se_n.transpose(of_sensor)
     of_boards = L + shared @ se_n.transpose(of_boards)
-    return _multiply(B, step), B @ of_boards @ se_n.transpose(B) + between + se_n.transpose(between) + own
+    return matvec(B, step), B @ of_boards @ se_n.transpose(B) + between + se_n.transpose(between) + own
 
 
-def _split_predicted(X: Array, max_stddev: float) -> tuple[Array, Array]:
-    """A covariance (V, p, p) without the directions of larger standard deviation, and the projectors on those."""
+def _split_predicted(X: Array) -> tuple[Array, Array]:
+    """A covariance (V, p, p) without directions that are not predicted, and the projectors on those."""
     values, vectors = np.linalg.eigh(X)
-    predicted = values < max_stddev**2
+    predicted = values < _PREDICTED_BOARD_STDDEV**2
     transposed = se_n.transpose(vectors)
     return (vectors * (values * predicted)[..., None, :]) @ transposed, (
         vectors * ~predicted[..., None, :]
@@ -284,14 +279,11 @@ def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: fl
 
 def _error_sizes(views: BoardViews, T_sensor_board: Array, extra: Array) -> tuple[Array, Array]:
     """Distances (N,) in px between corners, or in m from the board's plane; and those along the beam, m."""
-    residual = views.linearize(T_sensor_board, extra).residual
-    if isinstance(views, CornerObservations):
-        return np.linalg.norm(residual, axis=1) * views.noise_scale * views.noise.pixel, np.zeros(0)
-    assert isinstance(views, RangeObservations)
-    along = residual[:, 0] * views.sigma
-    count = np.diff(views.start, append=len(views.ranges))
-    normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
-    return np.abs(along * np.sum(normal * views.directions, axis=1)), np.abs(along)
+    norm = np.linalg.norm(views.linearize(T_sensor_board, extra).residual, axis=1)
+    error = views.unwhiten(norm[:, None])[:, 0]
+    if isinstance(views, RangeObservations):
+        return error * views.incidence(T_sensor_board), error
+    return error, np.zeros(0)
 
 
 def _summarize(
@@ -311,11 +303,6 @@ def _summarize(
         tilt=rms(np.concatenate([e.tilt for e in found])),
         ratio=float(np.sqrt(sum(float(e.squared.sum()) for e in found) / dof)),
     )
-
-
-def _multiply(A: Array, x: Array) -> Array:
-    """Matrices (V, n, p) times vectors (V, p)."""
-    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def _invert_information(H_board: Array) -> Array:

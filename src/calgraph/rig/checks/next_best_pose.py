@@ -263,8 +263,12 @@ def _draw_candidates(
     return se3.pose(so3.exp(phi) @ np.stack([x, y, z], axis=-1), position)
 
 
-# Rotation from the axes of a camera to forward, left, up: the axes of a scanner.
-CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def axes_of(kind: str) -> Array:
+    """(3, 3) rotation from the axes of a sensor to forward, left, up: the axes of a scanner."""
+    return _CAMERA_TO_SCANNER_AXES if KINDS[kind].optical else np.eye(3)
 
 
 # rad (7.5°); smaller angles are not mentioned, as angles are rounded to 5°.
@@ -286,7 +290,7 @@ def describe_pose(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping
     """
     if sensor not in T_sensor_board:
         sensor = min(T_sensor_board, key=lambda name: float(np.linalg.norm(T_sensor_board[name][:3, 3])))
-    axes = CAMERA_TO_SCANNER_AXES if KINDS[kinds[sensor]].optical else np.eye(3)
+    axes = axes_of(kinds[sensor])
     center, normal = axes @ T_sensor_board[sensor][:3, 3], axes @ T_sensor_board[sensor][:3, 2]
     distance, bearing = np.hypot(center[0], center[1]), np.degrees(np.arctan2(center[1], center[0]))
     forward = center[:2] / distance
@@ -337,7 +341,7 @@ def predict_observations(
         return _predict_corners(views, visible, T_candidate)
     assert isinstance(views, RangeObservations)
     if KINDS[kind].detects == "line":
-        return _predict_scan_lines(views, visible, T_candidate, size, MIN_SEGMENT_SHARE)
+        return _predict_scan_lines(views, visible, T_candidate, size)
     return _predict_patches(views, visible, T_detected, T_candidate, size)
 
 
@@ -375,7 +379,7 @@ def _predict_patches(
     views: RangeObservations, visible: Index, T_detected: Array, T_candidate: Array, size: tuple[float, float]
 ) -> RangeObservations:
     """Beams of a 3-D scanner over the whole board, of the density in solid angle of its recorded views."""
-    counts = np.diff(views.start, append=len(views.ranges))
+    counts = views.counts
     density = float(np.median(counts / _solid_angle(T_detected, size))) if len(counts) else 0.0
     steps = (np.arange(_GRID) + 0.5) / _GRID - 0.5
     x, y = np.meshgrid(size[0] * steps, size[1] * steps)
@@ -397,11 +401,11 @@ def _solid_angle(T_sensor_board: Array, size: tuple[float, float]) -> Array:
 
 
 def _predict_scan_lines(
-    views: RangeObservations, visible: Index, T_candidate: Array, size: tuple[float, float], min_share: float
+    views: RangeObservations, visible: Index, T_candidate: Array, size: tuple[float, float]
 ) -> RangeObservations:
     """Beams of a 2-D scanner along its intersection with the board, of the angular density of its views."""
     ends, length = _intersect_scan_plane(T_candidate[visible], size)
-    detected = length > min_share * min(size)
+    detected = length > MIN_SEGMENT_SHARE * min(size)
     visible, ends = visible[detected], ends[detected]
     fraction = ((np.arange(_GRID) + 0.5) / _GRID)[:, None]
     points = ends[:, :1] + fraction * (ends[:, 1:] - ends[:, :1])

@@ -9,7 +9,7 @@ from scipy.special import chdtri, fdtri
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3
-from calgraph.rig.bundle.bundle_setup import set_noise
+from calgraph.rig.bundle.bundle_setup import update_noise
 from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
@@ -217,14 +217,14 @@ def _pool_variances(bundle: Bundle, state: BundleState, k: int, added: int) -> B
     bias_variance, scales = bundle.bias_variance.copy(), [views.noise_scale for views in bundle.views]
     bias_variance[[k, added]] = share @ bias_variance[[k, added]]
     scales[k] = scales[added] = float(np.sqrt(share @ np.square([scales[k], scales[added]])))
-    return set_noise(replace(bundle, bias_variance=bias_variance), state, scales)
+    return update_noise(replace(bundle, bias_variance=bias_variance), state, scales)
 
 
 def _copy_variances(bundle: Bundle, state: BundleState, other: Bundle) -> Bundle:
     """The bundle with the variances of another one that has the same sensors, or more."""
     sensors = len(bundle.sensors)
     scales = [views.noise_scale for views in other.views[:sensors]]
-    return set_noise(replace(bundle, bias_variance=other.bias_variance[:sensors]), state, scales)
+    return update_noise(replace(bundle, bias_variance=other.bias_variance[:sensors]), state, scales)
 
 
 def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float, float]:

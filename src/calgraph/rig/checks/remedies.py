@@ -179,15 +179,13 @@ def _choose(
         return float(np.max(prediction.stddev(sensor, measure) / limits))
 
     now = float(np.max(prediction.stddev(sensor) / limits))
-    more = [_more_captures(max(round(recorded * multiple), 1)) for multiple in _MULTIPLES]
+    more = []
+    for count in (max(round(recorded * multiple), 1) for multiple in _MULTIPLES):
+        minutes = _RECORDING_MINUTES + _CAPTURE_MINUTES * count
+        more.append(_Measure(f"record {count} more captures like these", minutes, captures=count))
     # Of further captures, the fewest that suffice, otherwise as many again.
     captures = next((one for one in more if excess(one) <= 1), more[_MULTIPLES.index(1.0)])
     return choose_measures((captures, *measures), excess, now)
-
-
-def _more_captures(count: int) -> _Measure:
-    minutes = _RECORDING_MINUTES + _CAPTURE_MINUTES * count
-    return _Measure(f"record {count} more captures like these", minutes, captures=count)
 
 
 def _list_board_pose(

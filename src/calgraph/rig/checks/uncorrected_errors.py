@@ -9,8 +9,8 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, Index, so3
 from calgraph.result import Correction
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.bundle_solver import view_state
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.sensors.kinds.stated import list_turns
@@ -67,11 +67,10 @@ def _covariance(solved: SolvedBundle, index: Index) -> Array:
 
 def _measure_distances(solved: SolvedBundle, s: int) -> Array:
     """(V,) mean ranges of the views of a scanner, or distances of the boards from a camera, m."""
-    views, state = solved.bundle.views[s], solved.minimized.state
+    views = solved.bundle.views[s]
     if isinstance(views, RangeObservations):
-        count = np.diff(views.start, append=len(views.ranges))
-        return np.asarray(np.add.reduceat(views.ranges, views.start) / count)
-    T_sensor_board = relative_poses(state.T_root_sensor[s], state.T_root_board[views.board])
+        return np.asarray(np.add.reduceat(views.ranges, views.first) / views.counts)
+    T_sensor_board, _ = view_state(solved.bundle, solved.minimized.state, s)
     return np.asarray(np.linalg.norm(T_sensor_board[:, :3, 3], axis=1))
 
 

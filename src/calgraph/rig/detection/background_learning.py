@@ -58,20 +58,15 @@ def learn_scan_background(scans: Sequence[LaserScan]) -> ScanBackground:
         raise InputError("no returns in the background window; state a capture.background with measurements")
     angles = np.sort(max(scans, key=lambda scan: len(scan.angles)).angles)
     ranges = np.concatenate([align_ranges(angles, scan.angles, scan.ranges[None]) for scan in scans])
-    depths = _find_nearest_depths(ranges, _PASSING_SHARE)
+    # A low quantile of each beam's ranges, of which NaN are sorted last; NaN where a beam has no range.
+    count = np.isfinite(ranges).sum(axis=0)
+    row = np.floor(_PASSING_SHARE * np.maximum(count - 1, 0)).astype(np.intp)
+    depths = np.sort(ranges, axis=0)[row, np.arange(ranges.shape[1])]
     # Only the scatter around the nearest depth: that of all ranges would be the size of the edge.
     offsets = np.where(np.abs(ranges - depths) < _NOISE_WINDOW, ranges - depths, np.nan)
     sigma = np.sqrt(np.nansum(offsets**2, axis=0) / np.maximum(np.isfinite(offsets).sum(axis=0), 1))
     margins = np.maximum(_MIN_MARGIN, _MARGIN_SIGMAS * sigma)
     return ScanBackground.from_depths(angles, depths, margins)
-
-
-def _find_nearest_depths(ranges: Array, quantile: float) -> Array:
-    """A low quantile of each column of (S, B) ranges, NaN ignored; NaN where a column has no range."""
-    ordered = np.sort(ranges, axis=0)  # NaN last
-    count = np.isfinite(ranges).sum(axis=0)
-    row = np.floor(quantile * np.maximum(count - 1, 0)).astype(np.intp)
-    return np.asarray(ordered[row, np.arange(ranges.shape[1])])
 
 
 # Edge of a direction cell that holds the largest range of the background, 1°: several beams of any LiDAR.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.boards.detections import Segment
 from calgraph.config import Board, RangeNoise
-from calgraph.config.settings import DetectionSettings, Lidar2dDetectionSettings
+from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, find_median
 from calgraph.rig.detection.line_plane_fit import (
@@ -125,11 +125,10 @@ def _split_runs(scan: AveragedScan, noise: RangeNoise) -> list[Indices]:
     step = np.diff(scan.angles[beams])
     gap = np.linalg.norm(np.diff(scan.points[beams], axis=0), axis=1)
     near = np.minimum(scan.ranges[beams[1:]], scan.ranges[beams[:-1]])
-    grazing = _MAX_GRAZING_ANGLE
-    noise_gap = SAME_SURFACE_SIGMAS * noise.range
-    max_gap = near * np.sin(step) / np.sin(np.maximum(grazing - step, _MIN_ANGLE)) + noise_gap
+    max_gap = near * np.sin(step) / np.sin(np.maximum(_MAX_GRAZING_ANGLE - step, _MIN_ANGLE))
+    max_gap = max_gap + SAME_SURFACE_SIGMAS * noise.range
     missing = step > _GAP_SPACINGS * scan.spacing
-    splits = (gap > np.maximum(max_gap, 0)) | (missing & (gap > _MAX_GAP)) | (step > grazing / 2)
+    splits = (gap > np.maximum(max_gap, 0)) | (missing & (gap > _MAX_GAP)) | (step > _MAX_GRAZING_ANGLE / 2)
     return np.split(beams, np.flatnonzero(splits) + 1)
 
 
@@ -179,9 +178,8 @@ def _find_consensus_line(
         n = np.stack([np.cos(lines[:, 0]), np.sin(lines[:, 0])])
         return np.asarray(((points @ n).T - lines[:, 1:]) ** 2)
 
-    groups = np.arange(len(points))
     consensus = find_consensus(
-        groups, 2, solve, squared_residuals, threshold**2, rng=rng,
+        np.arange(len(points)), 2, solve, squared_residuals, threshold**2, rng=rng,
         confidence=RANSAC_CONFIDENCE, max_samples=_RANSAC_SAMPLES,
     )  # fmt: skip
     return None if consensus is None else (consensus.model, consensus.inliers)
@@ -214,7 +212,7 @@ def _refine_line(
     fit = fit_line(*scan.measurements(interior), start)
     if fit is None or fit.inliers.sum() < min_beams or fit.parameters[1] <= 0:
         return None
-    residuals, _ = whiten_line(fit.parameters, *scan.measurements(beams), MIN_COSINE)
+    residuals, _ = whiten_line(fit.parameters, *scan.measurements(beams))
     inliers = np.abs(residuals) < OUTLIER_SIGMAS * fit.scale
     if inliers.sum() < min_beams:
         return None
@@ -235,9 +233,8 @@ def _trim_bent_ends(scan: AveragedScan, beams: Indices, start: Array) -> Indices
 
     Each of their beams lies within the noise; their means, over a block of beams, do not.
     """
-    size, parts = _END_BLOCK, _END_PARTS
-    blocks = np.array_split(beams, len(beams) // size) if len(beams) >= parts * size else []
-    outer = len(blocks) // parts
+    blocks = np.array_split(beams, len(beams) // _END_BLOCK) if len(beams) >= _END_PARTS * _END_BLOCK else []
+    outer = len(blocks) // _END_PARTS
     if not outer:
         return beams
     middle = np.concatenate(blocks[outer:-outer])
@@ -289,7 +286,7 @@ def _score_line(
     s = _positions_along(scan.angles[line.beams], line.fit.parameters)
     # Either end may be off by a beam spacing and by the noise of a range.
     tolerance = 2 * float(np.median(np.abs(np.diff(s)))) + 2 * noise.range
-    length = max(_score_length(line.length, board, tolerance, settings.lidar2d) for board in boards)
+    length = max(_score_length(line.length, board, tolerance, settings.lidar2d.min_length) for board in boards)
     if length <= 0:
         return 0.0
     cosine = np.cos(scan.angles[line.beams] - line.fit.parameters[0])
@@ -305,10 +302,10 @@ def _score_line(
 _MIN_SIDE_RATIO = 1 / 3
 
 
-def _score_length(length: float, board: Board, tolerance: float, settings: Lidar2dDetectionSettings) -> float:
+def _score_length(length: float, board: Board, tolerance: float, least: float) -> float:
     """1 between the shorter side and the diagonal, less below, 0 for implausibly short or long lines."""
     side, diagonal = min(board.size), float(np.hypot(*board.size))
-    shortest = max(settings.min_length, side * _MIN_SIDE_RATIO)
+    shortest = max(least, side * _MIN_SIDE_RATIO)
     if length < shortest - tolerance or length > diagonal + tolerance:
         return 0.0
     return min(1.0, length / side)
@@ -356,9 +353,9 @@ def _find_edges(
     scan: AveragedScan, line: SurfaceFit, middle: Array, radius: float, settings: DetectionSettings
 ) -> Array:
     """(M, 2, 3) edges of the line within ``radius`` of its middle (2,)."""
-    (angle, p), min_cosine = line.parameters, MIN_COSINE
+    angle, p = line.parameters
     cosine = np.cos(scan.angles - angle)
-    predicted = np.where(cosine > min_cosine, p / np.maximum(cosine, min_cosine), np.inf)
+    predicted = np.where(cosine > MIN_COSINE, p / np.maximum(cosine, MIN_COSINE), np.inf)
     along = np.where(np.isfinite(predicted), p * np.tan(scan.angles - angle), np.inf)
     center = float(middle @ [-np.sin(angle), np.cos(angle)])
     near = select_beams_with_margin(np.abs(along - center) < radius)

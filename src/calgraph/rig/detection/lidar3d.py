@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from calgraph.boards.detections import PlanePatch, to_beams
 from calgraph.config import Board, RangeNoise
-from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
+from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, find_median, measure_lengths, plane
 from calgraph.rig.detection.capture_background import CaptureBackground, CloudBackground
@@ -78,7 +78,8 @@ def find_patches(
     # Drivers send empty clouds where packets are lost: they hold neither rings nor edges.
     clouds = [_drop_repeated_points(cloud) for cloud in clouds if len(cloud.points)] or clouds
     scene = np.concatenate([cloud.points for cloud in clouds])
-    rings = _join_rings(clouds)
+    of_clouds = [cloud.rings for cloud in clouds if cloud.rings is not None]
+    rings = np.concatenate(of_clouds) if len(of_clouds) == len(clouds) else None
     ranges = measure_lengths(scene)
     valid = ranges > limits.min_range
     foreground = valid if background is None else valid & background.foreground(scene)
@@ -114,9 +115,9 @@ def find_patches(
         for region in candidates
     ]
     found: list[PlanePatch] = []
-    for patch in sorted((p for p in measured if p is not None), key=lambda p: -p.match):
+    for match, members, rectangle in sorted((p for p in measured if p is not None), key=lambda p: -p[0]):
         least = max(_MIN_SCORE, _MIN_SCORE_RATIO * found[0].match if found else 0.0)
-        fitted = _fit_patch(points, patch, noise, settings) if patch.match >= least else None
+        fitted = _fit_patch(points, members, rectangle, match, noise, settings) if match >= least else None
         if fitted is not None:
             found.append(fitted)
     if not found:
@@ -152,19 +153,6 @@ def _select_candidate_regions(
     return [region for score, region in best if score >= _MIN_SCORE]
 
 
-@dataclass(frozen=True, eq=False)
-class _MeasuredPatch:
-    """A flat region as the board."""
-
-    surface: Array
-    """(4,) its plane."""
-    members: Indices
-    """Points on it."""
-    rectangle: BoardRectangle
-    match: float
-    """Score."""
-
-
 def _measure_patch(
     points: Array,
     cells: Cells,
@@ -174,8 +162,8 @@ def _measure_patch(
     scene: SceneBeams,
     rng: np.random.Generator,
     settings: DetectionSettings,
-) -> _MeasuredPatch | None:
-    """The plane, points and score of one flat region; cells are of the first of the points."""
+) -> tuple[float, Indices, BoardRectangle] | None:
+    """Score, points and rectangle of one flat region as the board; cells are of the first of the points."""
     in_region = np.zeros(len(cells.points) + 1, dtype=np.bool_)  # the last one is that of points without a cell
     in_region[region] = True
     chosen = points.take(np.flatnonzero(in_region[cells.cell_of_point]), axis=0)
@@ -188,24 +176,26 @@ def _measure_patch(
         (_score_patch(surface, flat, board, cells.spacing, scene, thickness, settings) for board in boards),
         key=lambda matched: matched[0],
     )
-    return _MeasuredPatch(surface, members, rectangle, match)
+    return match, members, rectangle
 
 
 def _fit_patch(
-    points: Array, patch: _MeasuredPatch, noise: RangeNoise, settings: DetectionSettings
+    points: Array,
+    members: Indices,
+    rectangle: BoardRectangle,
+    match: float,
+    noise: RangeNoise,
+    settings: DetectionSettings,
 ) -> PlanePatch | None:
-    """The patch with the plane fitted to its points away from its outline."""
-    rectangle, members = patch.rectangle, patch.members
-    interior = members[_select_interior(points[members], rectangle, patch.match, settings.lidar3d)]
+    """The patch with the plane fitted to its points (N,) away from its outline."""
+    interior = members[_select_interior(points[members], rectangle, match, settings.lidar3d.min_points)]
     ranges, directions = to_beams(points[interior])
-    fit = fit_plane(ranges, directions, noise.of_beams(ranges, directions), noise.angle, patch.surface)
+    fit = fit_plane(ranges, directions, noise.of_beams(ranges, directions), noise.angle, rectangle.surface)
     if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
     center = rectangle.center - (n @ rectangle.center + d) * n
-    return PlanePatch(
-        fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, patch.match
-    )
+    return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, match)
 
 
 # Maximum number of points that RANSAC draws from and scores: the share of inliers is accurate to 2.5 %.
@@ -216,9 +206,8 @@ _RANSAC_SAMPLES = 200
 
 def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
     """The plane (4,) with the most inliers among the points (N, 3)."""
-    most = _MAX_RANSAC_POINTS
-    if len(points) > most:
-        points = points[rng.choice(len(points), most, replace=False)]
+    if len(points) > _MAX_RANSAC_POINTS:
+        points = points[rng.choice(len(points), _MAX_RANSAC_POINTS, replace=False)]
 
     def solve(samples: Indices) -> Array:
         chosen = points[samples]
@@ -231,9 +220,8 @@ def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Genera
     def squared_residuals(planes: Array) -> Array:
         return plane.distance(planes, points[None]) ** 2
 
-    groups = np.arange(len(points))
     consensus = find_consensus(
-        groups, 3, solve, squared_residuals, threshold**2, rng=rng,
+        np.arange(len(points)), 3, solve, squared_residuals, threshold**2, rng=rng,
         confidence=RANSAC_CONFIDENCE, max_samples=_RANSAC_SAMPLES,
     )  # fmt: skip
     return None if consensus is None else consensus.model
@@ -264,9 +252,7 @@ _EDGE_MARGIN = 0.02
 _MIN_INTERIOR_RATIO = 0.6
 
 
-def _select_interior(
-    points: Array, rectangle: BoardRectangle, match: float, settings: Lidar3dDetectionSettings
-) -> NDArray[np.bool_]:
+def _select_interior(points: Array, rectangle: BoardRectangle, match: float, min_points: int) -> NDArray[np.bool_]:
     """Selects the points (N, 3) inside the patch's outline, with a margin; all if too few would be left."""
     surface = rectangle.surface
     # The intersection of the beam with the plane, not the noisy point: on an inclined board a cut by points would
@@ -284,7 +270,7 @@ def _select_interior(
         return kept
     depth = np.max(hull.equations[:, :2] @ flat.T + hull.equations[:, 2:], axis=0)
     clear: NDArray[np.bool_] = np.asarray(kept & (depth < -_EDGE_MARGIN), dtype=np.bool_)
-    return clear if clear.sum() > max(settings.min_points, _MIN_INTERIOR_RATIO * kept.sum()) else kept
+    return clear if clear.sum() > max(min_points, _MIN_INTERIOR_RATIO * kept.sum()) else kept
 
 
 # Reach of a cell on the plane, in spacings of cells: half of its footprint, and a tenth.
@@ -400,14 +386,14 @@ def _find_edges(
     lines: _ScanLines, patch: PlanePatch, thickness: float, radius: float, settings: DetectionSettings
 ) -> Array:
     """(M, 2, 3) edges of the patch within ``radius`` of its centre."""
-    n, d, min_cosine = patch.plane[:3], patch.plane[3], MIN_COSINE
+    n, d = patch.plane[:3], patch.plane[3]
     cosine, along = -(lines.directions @ n), lines.directions @ patch.center
     distance = float(np.linalg.norm(patch.center))
 
     def predict(beams: Indices) -> Array:
         """Ranges of some beams to the plane."""
         facing = cosine[beams]
-        return np.where(facing > min_cosine, d / np.maximum(facing, min_cosine), np.inf)
+        return np.where(facing > MIN_COSINE, d / np.maximum(facing, MIN_COSINE), np.inf)
 
     # Other beams do not pass the centre within the radius.
     least = np.sqrt(distance**2 - radius**2) - _ROUNDING if distance > radius else -np.inf
@@ -440,8 +426,3 @@ def _drop_repeated_points(cloud: PointCloud) -> PointCloud:
     rings = None if cloud.rings is None else cloud.rings[kept]
     times = None if cloud.times is None else cloud.times[kept]
     return replace(cloud, points=cloud.points[kept], rings=rings, times=times)
-
-
-def _join_rings(clouds: Sequence[PointCloud]) -> NDArray[np.int32] | None:
-    rings = [cloud.rings for cloud in clouds if cloud.rings is not None]
-    return np.concatenate(rings) if len(rings) == len(clouds) else None

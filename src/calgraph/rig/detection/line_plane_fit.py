@@ -59,17 +59,17 @@ def fit_line(
     """
 
     def whitened(line: Array) -> tuple[Array, Array]:
-        return whiten_line(line, angles, ranges, sigma_range, sigma_angle, MIN_COSINE)
+        return whiten_line(line, angles, ranges, sigma_range, sigma_angle)
 
     start = np.asarray(start, dtype=np.float64)
     return _fit_robustly(whitened, lambda line, step: line + step, start)
 
 
 def whiten_line(
-    line: Array, angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array, min_cosine: float
+    line: Array, angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array
 ) -> tuple[Array, Array]:
     """Residuals (N,) of ranges to a line, and the Jacobian (N, 2) of the prediction, both over their noise."""
-    cosine = np.maximum(np.cos(angles - line[0]), min_cosine)
+    cosine = np.maximum(np.cos(angles - line[0]), MIN_COSINE)
     tangent = np.sin(angles - line[0]) / cosine
     sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
     J = np.stack([-line[1] * tangent / cosine, 1 / cosine], axis=-1)
@@ -123,7 +123,8 @@ def _fit_robustly(
         for _ in range(_ITERATIONS):
             residuals, J = whitened(parameters)
             # Before the first rejection Huber weights limit the influence of outliers.
-            weights = 1.0 * inliers if round_ else _compute_huber_weights(residuals, _HUBER_SIGMAS)
+            size = np.maximum(np.abs(residuals), 1e-12)
+            weights = 1.0 * inliers if round_ else np.minimum(1.0, _HUBER_SIGMAS / size)
             H = (J * weights[:, None]).T @ J
             if inliers.sum() <= J.shape[1] or np.linalg.cond(H) > 1e14:
                 return None
@@ -136,20 +137,11 @@ def _fit_robustly(
         inliers = np.abs(residuals) < OUTLIER_SIGMAS * scale
     if inliers.sum() <= J.shape[1]:
         return None
-    inflation = _compute_inflation(residuals[inliers], J.shape[1], _INFLATION_SIGNIFICANCE)
+    freedom, total = inliers.sum() - J.shape[1], float(residuals[inliers] @ residuals[inliers])
+    # Scaled where the reduced chi-square is significantly above one, as the stated noise is then too small.
+    inflation = total / freedom if total > chdtri(freedom, _INFLATION_SIGNIFICANCE) else 1.0
     covariance = np.linalg.inv(J[inliers].T @ J[inliers]) * inflation
     return SurfaceFit(parameters, np.asarray(covariance, dtype=np.float64), inliers, scale)
-
-
-def _compute_huber_weights(residuals: Array, threshold: float) -> Array:
-    return np.minimum(1.0, threshold / np.maximum(np.abs(residuals), 1e-12))
-
-
-def _compute_inflation(residuals: Array, parameters: int, significance: float) -> float:
-    """The reduced chi-square where it is significantly above one, as the stated noise is then too small."""
-    freedom = len(residuals) - parameters
-    total = float(residuals @ residuals)
-    return total / freedom if total > chdtri(freedom, significance) else 1.0
 
 
 # Bound of ranges before the plane, m: beams that do not intersect it have an infinite one.

@@ -96,14 +96,13 @@ def average_scans(
             noise.angle / np.sqrt(count),
             np.asarray(2 * votes[kept] > answered[kept]),
             float(np.median(np.diff(angles))),
-        ),
-        _MAX_SEAM_SPACINGS,
+        )
     )
 
 
-def _move_seam(scan: AveragedScan, max_spacings: float) -> AveragedScan:
+def _move_seam(scan: AveragedScan) -> AveragedScan:
     """Starts a scan that goes all around at its largest jump in range, so that no board lies across the seam."""
-    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - max_spacings * scan.spacing:
+    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - _MAX_SEAM_SPACINGS * scan.spacing:
         return scan
     start = int(np.argmax(np.abs(np.diff(scan.ranges)))) + 1
     turned = np.roll(scan.angles, -start)

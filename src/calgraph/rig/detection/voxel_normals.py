@@ -65,7 +65,8 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
     along = max(_MIN_RING_CELL_ANGLE, across / _RING_CELLS) if levels is not None else _CELL_ANGLE
     # Points of one direction cell whose ranges differ by a depth jump are on two surfaces.
     cell = _assign_cells(points, levels, along, settings.scanner.min_depth_jump)
-    means = _average_cells(points, cell)
+    count = np.bincount(cell)
+    means = np.stack([np.bincount(cell, along_axis) / count for along_axis in points.T], axis=-1)
     if len(means) <= _MIN_NEIGHBOURS:
         return None
     radius = measure_lengths(means)
@@ -130,11 +131,6 @@ def _assign_cells(points: Array, levels: Array | None, along: float, depth_step:
     depth = np.floor(radius / depth_step).astype(np.int64)
     _, cell = np.unique((row << 40) | (column << 24) | np.minimum(depth, 2**24 - 1), return_inverse=True)
     return np.asarray(cell).ravel()
-
-
-def _average_cells(points: Array, cell: Indices) -> Array:
-    count = np.bincount(cell)
-    return np.stack([np.bincount(cell, points[:, i]) / count for i in range(3)], axis=-1)
 
 
 # Cells whose mean distance to their neighbours exceeds the usual one by more standard deviations are stray

@@ -42,16 +42,6 @@ class ViewCoverage:
     """Angle between the board's normal and the line of sight that a quarter of all views exceed, rad."""
 
 
-@dataclass(frozen=True)
-class Shortcomings:
-    """What limits the accuracy of intrinsics, each with what to do."""
-
-    decisive: tuple[str, ...] = ()
-    """The intrinsics cannot be used."""
-    remarks: tuple[str, ...] = ()
-    """They can be used, with their covariance."""
-
-
 def measure_coverage(detections: Sequence[BoardCorners], camera: CameraModel) -> ViewCoverage:
     """The coverage of the views of a camera."""
     pixels = np.concatenate([one.pixels for one in detections])
@@ -97,17 +87,21 @@ _MAX_FOCAL_LENGTH_ERROR = 0.03
 _MAX_PRINCIPAL_POINT_ERROR = 0.03
 
 
-def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: IntrinsicsSettings) -> Shortcomings:
-    """Judges intrinsics by their covariance; what to do follows from coverage and tilt."""
+def describe_shortcomings(
+    fit: LensFit, coverage: ViewCoverage, settings: IntrinsicsSettings
+) -> tuple[str, ...] | Rejected:
+    """What limits the accuracy of intrinsics by their covariance, or why they cannot be used.
+
+    What to do, which each states, follows from coverage and tilt.
+    """
     stddev = np.sqrt(np.diag(fit.covariance))
     focal, center = float(stddev[:2].max()), float(stddev[2:4].max())
     diagonal = float(np.hypot(fit.camera.width, fit.camera.height))
     mean = float(fit.camera.focal.mean())
     values = f"focal length {mean:.0f} ± {focal:.2g} px, principal point ± {center:.2g} px, σ"
     advice = "; ".join(_suggest_views(coverage, len(fit.detections)))
-    decisive = not (focal < _MAX_FOCAL_LENGTH_ERROR * mean and center < _MAX_PRINCIPAL_POINT_ERROR * diagonal)
-    if decisive:
-        return Shortcomings(decisive=(f"its views do not determine its intrinsics ({values}): {advice}",))
+    if not (focal < _MAX_FOCAL_LENGTH_ERROR * mean and center < _MAX_PRINCIPAL_POINT_ERROR * diagonal):
+        return Rejected(f"its views do not determine its intrinsics ({values}): {advice}")
     remarks = []
     if focal > settings.good_focal_length_error * mean or center > settings.good_principal_point_error * diagonal:
         remarks.append(f"{values}: {advice}")
@@ -117,7 +111,7 @@ def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: Intrin
             f"the projection at the border of the image is uncertain by {border:.2g} px, where no corners were "
             "detected: show the board at the borders and in the corners of the image, too"
         )
-    return Shortcomings(remarks=tuple(remarks))
+    return tuple(remarks)
 
 
 # Tilt, rad (20°), that a quarter of all views should exceed: the focal length is determined by the perspective of
@@ -211,12 +205,12 @@ def estimate_intrinsics(
     fit = fits[best]
     coverage = measure_coverage(list(fit.detections.values()), fit.camera)
     shortcomings = describe_shortcomings(fit, coverage, settings)
-    if shortcomings.decisive:
-        return Rejected("; ".join(shortcomings.decisive))
+    if isinstance(shortcomings, Rejected):
+        return shortcomings
     rejected: dict[str, str] = {other: reason for other, reason in others.items() if other != best}
     return IntrinsicsEstimate(
         fit.camera, fit.covariance, fit.noise, fit.model_error, tuple(fit.detections.values()), len(chosen),
-        rejected, coverage, shortcomings.remarks,
+        rejected, coverage, shortcomings,
     )  # fmt: skip
 
 
@@ -234,7 +228,9 @@ def _fit_models(
         best = min(fits, key=lambda model: fits[model].noise)
         other: LensModel = "fisheye" if best == "pinhole" else "pinhole"
         if not (other in fits and fits[other].fits_as_well(fits[best])):
-            T = _poses(fits[best], len(views))
+            T = np.full((len(views), 4, 4), np.nan)
+            for i, detection in fits[best].detections.items():
+                T[i] = detection.T_camera_board
             start = convert_model(views, fits[best].camera, T, other, MAX_ROUNDS)
             again = fit_lens(rig, name, views, start, settings) if start else Rejected("")
             if isinstance(again, LensFit) and (other not in fits or again.noise < fits[other].noise):
@@ -251,14 +247,6 @@ def _fit_models(
         {model: f"{fit.noise:.2f} px" for model, fit in fits.items()}
         | {model: failures[model] for model in models if model not in fits},
     )
-
-
-def _poses(fit: LensFit, count: int) -> Array:
-    """(V, 4, 4) poses of the boards in all views; NaN where the fit does not use them."""
-    T = np.full((count, 4, 4), np.nan)
-    for i, detection in fit.detections.items():
-        T[i] = detection.T_camera_board
-    return T
 
 
 # Least difference of the Bayesian information criterion by which a fisheye is preferred to a pinhole, whose
@@ -300,7 +288,7 @@ def choose_views(views: Sequence[BoardView], settings: IntrinsicsSettings) -> li
         views: all, of images of one size.
         settings: the number of views, and of their corners.
     """
-    usable = [view for view in views if _determines_pose(view, MIN_CORNERS)]
+    usable = [view for view in views if _determines_pose(view)]
     if len(usable) <= settings.max_views:
         return usable
     features = np.array([_describe_view(view) for view in usable])
@@ -312,8 +300,8 @@ def choose_views(views: Sequence[BoardView], settings: IntrinsicsSettings) -> li
     return [usable[i] for i in sorted(chosen)]
 
 
-def _determines_pose(view: BoardView, min_corners: int) -> bool:
-    if len(view.flat_corners) < min_corners:
+def _determines_pose(view: BoardView) -> bool:
+    if len(view.flat_corners) < MIN_CORNERS:
         return False
     for points in (view.flat_corners[:, :2], view.flat_pixels):
         singular_values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

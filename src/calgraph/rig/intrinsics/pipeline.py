@@ -16,7 +16,7 @@ from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.hold_messages import PreviewSize, search_holds, select_messages
-from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.holds import Hold, sample_evenly
 from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_inputs
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, ImageMarks
@@ -183,7 +183,8 @@ def _calibrate_camera(
     """The intrinsics of one camera; progress is called with the share done."""
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
     timeline = build_timeline(recording.records([spec.topic]), recording.start, {name: spec.topic}, None)
-    frames = _spread_frames(name, timeline, _MAX_IMAGES)
+    stamps = sample_evenly(np.unique(timeline.sensors[name].stamps), _MAX_IMAGES)
+    frames = [Hold(i, stamp, stamp, {name: np.array([stamp])}) for i, stamp in enumerate(stamps.tolist())]
     marks = _find_marks(
         rig, {name: spec}, recording, timeline, frames, engine, lambda done: progress(0.5 * done), cache
     )[name]
@@ -209,14 +210,6 @@ def _calibrate_camera(
         if isinstance(detection, BoardCorners)
     ]
     return estimate_intrinsics(rig, name, views, spec.lens_to_estimate)
-
-
-def _spread_frames(name: str, timeline: RecordingTimeline, count: int) -> list[Hold]:
-    """Single images of a camera, evenly spread over the recording."""
-    stamps = np.unique(timeline.sensors[name].stamps)
-    if len(stamps) > count:
-        stamps = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
-    return [Hold(i, stamp, stamp, {name: np.array([stamp])}) for i, stamp in enumerate(stamps.tolist())]
 
 
 def _combine_views(rig: Rig, name: str, marks: Mapping[int, Sequence[ImageMarks]]) -> dict[int, list[BoardView]]:

@@ -8,9 +8,7 @@ import numpy as np
 from calgraph.boards.detections import DetectionResult, Segment
 from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings
-from calgraph.errors import Rejected
 from calgraph.rig.detection.background_learning import learn_scan_background
-from calgraph.rig.detection.hold_motion import drop_moved
 from calgraph.rig.detection.lidar2d import find_segments
 from calgraph.rig.kinds.rig_kind import (
     Detector,
@@ -18,9 +16,9 @@ from calgraph.rig.kinds.rig_kind import (
     MotionSignature,
     RigKind,
     Signature,
-    add_beam_times,
     compare_values,
     make_generator,
+    select_resting,
 )
 from calgraph.sensors import LaserScan, Message, ScanBackground
 from calgraph.sensors.cloud_to_scan import to_scans
@@ -38,13 +36,9 @@ def _detect_segments(
     messages: Sequence[Message], rig: Rig, noise: RangeNoise, background: ScanBackground | None, seed: int
 ) -> DetectionResult:
     scans = to_scans(messages)
-    found = find_segments(
-        scans, rig.boards, noise, background, make_generator(seed, scans), rig.settings.detection
-    )
-    if isinstance(found, Rejected):
-        return found
-    resting = drop_moved(found, [scan.points for scan in scans])
-    return resting if isinstance(resting, Rejected) else add_beam_times(resting, scans)
+    rng = make_generator(seed, scans)
+    found = find_segments(scans, rig.boards, noise, background, rng, rig.settings.detection)
+    return select_resting(found, scans)
 
 
 def _learn_scans(messages: Sequence[Message], _: DetectionSettings) -> ScanBackground:

@@ -11,7 +11,6 @@ from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.rig.detection.background_learning import learn_cloud_background
 from calgraph.rig.detection.capture_background import CaptureBackground, CloudBackground
-from calgraph.rig.detection.hold_motion import drop_moved
 from calgraph.rig.detection.lidar3d import find_patches
 from calgraph.rig.kinds.rig_kind import (
     Detector,
@@ -19,8 +18,8 @@ from calgraph.rig.kinds.rig_kind import (
     MotionSignature,
     RigKind,
     Signature,
-    add_beam_times,
     make_generator,
+    select_resting,
 )
 from calgraph.sensors import Message, PointCloud
 from calgraph.sensors.kinds import RangeNoise
@@ -52,17 +51,11 @@ def _detect_patches(
         return find_patches(messages, rig.boards, noise, known, make_generator(seed, messages), settings)
 
     found = find(background)
-    if isinstance(background, CaptureBackground) and not _has_board(found, _MIN_SCORE):
+    is_found = not isinstance(found, Rejected) and found[0].match >= _MIN_SCORE
+    if isinstance(background, CaptureBackground) and not is_found:
         # A board that stood in the same place in most captures is part of what was learned.
         found = find(None)
-    if isinstance(found, Rejected):
-        return found
-    resting = drop_moved(found, [cloud.points for cloud in messages])
-    return resting if isinstance(resting, Rejected) else add_beam_times(resting, messages)
-
-
-def _has_board(found: tuple[PlanePatch, ...] | Rejected, min_score: float) -> bool:
-    return not isinstance(found, Rejected) and found[0].match >= min_score
+    return select_resting(found, messages)
 
 
 def _learn_clouds(messages: Sequence[Message], settings: DetectionSettings) -> CloudBackground:
@@ -91,12 +84,8 @@ def _compare_cells(before: Signature, after: Signature) -> float:
 
 def _count_far(cells: Signature, others: Signature) -> int:
     """Number of cells that are not next to any of others."""
-    near = np.append(np.sort(_dilate_cells(others)), -1)
+    near = np.append(np.sort((others[:, None] + _WITH_NEIGHBOURS).ravel()), -1)
     return int(np.count_nonzero(near[np.searchsorted(near[:-1], cells)] != cells))
-
-
-def _dilate_cells(cells: Signature) -> Signature:
-    return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
 
 
 # Largest share of the cells that differ in rests: 0.009 in simulated clouds of 16 rings, and three times that.

@@ -12,8 +12,10 @@ from calgraph.boards.detections import BoardCorners, Detection, DetectionResult,
 from calgraph.boards.tags import Marks
 from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings, MaxMessageSettings
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, measure_lengths
 from calgraph.rig.detection.capture_background import CaptureBackground, CloudBackground
+from calgraph.rig.detection.hold_motion import drop_moved
 from calgraph.sensors import CameraModel, LaserScan, Measurement, Message, PointCloud, ScanBackground
 
 Detector = Callable[[Sequence[Any]], DetectionResult]
@@ -92,18 +94,16 @@ def make_generator(seed: int, messages: Sequence[PointCloud | LaserScan]) -> np.
 _MARGIN = 1e-6
 
 
-def add_beam_times(
-    detections: Sequence[Detection], messages: Sequence[PointCloud | LaserScan]
-) -> tuple[Detection, ...]:
-    """The detections in one message with the times of their beams; unchanged where these are not known.
-
-    Args:
-        detections: of a scanner.
-        messages: that they were found in.
-    """
+def select_resting(
+    found: Sequence[Detection] | Rejected, messages: Sequence[PointCloud | LaserScan]
+) -> DetectionResult:
+    """A scanner's detections that rest in the messages; those in one message with the times of beams, if known."""
+    detections = found if isinstance(found, Rejected) else drop_moved(found, [one.points for one in messages])
+    if isinstance(detections, Rejected):
+        return detections
     beams = _find_timed_beams(messages[0]) if len(messages) == 1 else None
     if beams is None:
-        return tuple(detections)
+        return detections
     from scipy.spatial import cKDTree
 
     directions, times = _select_beams_near(*beams, detections)

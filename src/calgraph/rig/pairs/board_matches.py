@@ -72,7 +72,7 @@ def tabulate_matches(candidates_a: Candidates, candidates_b: Candidates) -> NDAr
         for capture in sorted(set(candidates_a) & set(candidates_b))
         for i, a in enumerate(candidates_a[capture])
         for j, b in enumerate(candidates_b[capture])
-        if _board_index(a) is None or _board_index(b) is None or _board_index(a) == _board_index(b)
+        if identified_board(a) is None or identified_board(b) is None or identified_board(a) == identified_board(b)
     ]
     return np.array(rows, dtype=np.intp).reshape(-1, 3)
 
@@ -84,12 +84,12 @@ def group_alternatives(
     groups: dict[tuple[int, frozenset[int | None]], int] = {}
     numbers = []
     for capture, i, j in table.tolist():
-        boards = {_board_index(candidates_a[capture][i]), _board_index(candidates_b[capture][j])}
+        boards = {identified_board(candidates_a[capture][i]), identified_board(candidates_b[capture][j])}
         numbers.append(groups.setdefault((capture, frozenset(boards)), len(groups)))
     return np.array(numbers, dtype=np.intp)
 
 
-def _board_index(detection: Detection) -> int | None:
+def identified_board(detection: Detection) -> int | None:
     """Index of the board in the rig, if the sensor can identify it."""
     return detection.board if isinstance(detection, BoardCorners) else None
 

@@ -180,16 +180,14 @@ class LineLineMatches:
         """
         a, b = self.endpoints_a[samples], self.endpoints_b[samples]
         start = solve_coplanar_lines(a, b, _DIHEDRAL_ANGLE)
-        residuals = partial(
-            _regularized_coplanarity, a=a, b=b, min_sine=_MIN_SCAN_PLANE_SINE,
-            gap_weight=_CENTER_GAP_WEIGHT / self.max_center_distance,
-        )  # fmt: skip
+        weight = _CENTER_GAP_WEIGHT / self.max_center_distance
+        residuals = partial(_regularized_coplanarity, a=a, b=b, gap_weight=weight)
         return gauss_newton(start, residuals, _MIN_RMS_SLOPE, _SAMPLE_STEPS)[0]
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Computes the distance of the two lines times the sine of their angle: zero if they are coplanar."""
         a, b = self.endpoints_a, self.endpoints_b
-        r, jacobian, by_a, by_b = evaluate_coplanarity(T_a_b[:, None], a, b, _MIN_SCAN_PLANE_SINE)
+        r, jacobian, by_a, by_b = evaluate_coplanarity(T_a_b[:, None], a, b)
         covariance = np.einsum("kmi,mij,kmj->km", by_a, self.covariances_a, by_a)
         covariance = covariance + np.einsum("kmi,mij,kmj->km", by_b, self.covariances_b, by_b)
         return Linearization(r[..., None], jacobian[..., None, :], covariance[..., None, None])
@@ -201,9 +199,7 @@ class LineLineMatches:
         return np.asarray(distance <= self.max_center_distance)
 
 
-def evaluate_coplanarity(
-    T_a_b: Array, a: Array, b: Array, min_sine: float = _MIN_SCAN_PLANE_SINE
-) -> tuple[Array, Array, Array, Array]:
+def evaluate_coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
     """``(u × R v) · (R m_b + t - m_a) / s`` for lines with unit directions u, v through the middles m_a, m_b.
 
     With the sine s of the angle between the scan planes z = 0 of a and b, this is the distance between the two
@@ -216,7 +212,6 @@ def evaluate_coplanarity(
         T_a_b: (..., 4, 4).
         a: (..., 2, 3) end points in frame a, m.
         b: (..., 2, 3) end points in frame b, m.
-        min_sine: least sine of the angle between the scan planes.
 
     Returns:
         Residuals (...), m, and their derivatives by T_a_b (..., 6), by a (..., 6) and by b (..., 6).
@@ -239,7 +234,7 @@ def evaluate_coplanarity(
     by_b = np.concatenate([-turn_b + normal_b / 2, turn_b + normal_b / 2], axis=-1)
     z_b = R[..., :, 2]
     s = np.hypot(z_b[..., 0], z_b[..., 1])
-    s = np.where(s < min_sine, np.nan, s)
+    s = np.where(s < _MIN_SCAN_PLANE_SINE, np.nan, s)
     jacobian = jacobian / s[..., None]
     jacobian[..., 3:] += (r * z_b[..., 2] / s**3)[..., None] * np.cross(z_b, [0.0, 0.0, 1.0])
     return r / s, jacobian, np.broadcast_to(by_a / s[..., None], jacobian.shape), by_b / s[..., None]
@@ -260,11 +255,9 @@ def _evaluate_plane_distances(T: Array, n: Array, d: Array, x: Array) -> tuple[A
     return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
 
 
-def _regularized_coplanarity(
-    T: Array, a: Array, b: Array, gap_weight: float, min_sine: float
-) -> tuple[Array, Array]:
+def _regularized_coplanarity(T: Array, a: Array, b: Array, gap_weight: float) -> tuple[Array, Array]:
     """Coplanarity residuals, and the weighted gaps between midpoints."""
-    r, J, _, _ = evaluate_coplanarity(T[:, None], a, b, min_sine)
+    r, J, _, _ = evaluate_coplanarity(T[:, None], a, b)
     Rm = np.einsum("kij,kmj->kmi", T[:, :3, :3], b.mean(axis=2))
     gap = Rm + T[:, None, :3, 3] - a.mean(axis=2)
     J_gap = np.concatenate([np.broadcast_to(np.eye(3), (*Rm.shape, 3)), -so3.hat(Rm)], axis=-1)

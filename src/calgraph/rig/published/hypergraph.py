@@ -11,6 +11,7 @@ from calgraph.config.settings import MatchFilter, Settings
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph.pairwise_estimate import FLATNESS, PairwiseEstimate, select_matches
 from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.bundle.variance_components import STATED_NOISE_WEIGHT
 from calgraph.rig.pairs.board_matches import Candidates
 from calgraph.rig.published import hypergraph_factors as factor_types
@@ -24,18 +25,10 @@ BLOCKS: Mapping[str, Block] = {
 
 
 @dataclass(frozen=True, eq=False)
-class HypergraphSolution:
-    """The joint solution of a rig's connected sensors."""
+class HypergraphSolution(RigSolution):
+    """The joint solution of a rig's connected sensors, with residuals by kind of edge."""
 
-    T_root_sensor: Mapping[str, Array]
-    """(4, 4) by sensor, the root first."""
-    joint_covariance: Array
-    """(S·6, S·6) of all poses' errors in the root's fixed axes, in the order of ``T_root_sensor``; zero for the
-    root."""
-    residuals: Mapping[str, Array]
-    """Whitened residuals by kind of edge."""
-    converged: bool
-    graph_error: float
+    graph_error: float = 0.0
     """Sum of squared errors over all edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
 
 
@@ -78,15 +71,15 @@ def solve_hypergraph(
     names = list(tree.T_root_sensor)
     pairs = [e for e in estimates if e.sensor_a in names and e.sensor_b in names]
     if not pairs:
-        return HypergraphSolution({tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0)
-    flatness, max_stddev = FLATNESS, settings.pairwise.board.max_stddev
+        return HypergraphSolution("hypergraph", {tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True)
     graph = _HypergraphBuilder(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[select_matches(pair, keep)]:
             graph.connect(pair, int(capture), int(i), int(j))
     values = graph.values(tree.T_root_sensor)
-    observed = graph.observation_factors(flatness)
-    factors: list[Factor] = [_relative_pose_factor(names, tree, pairs, max_stddev, _HELD_STDDEV), *observed]
+    observed = graph.observation_factors()
+    max_stddev = settings.pairwise.board.max_stddev
+    factors: list[Factor] = [_relative_pose_factor(names, tree, pairs, max_stddev), *observed]
     converged = True
     if optimize:
         solution = minimize_sparse(values, BLOCKS, factors, iterations=_MAX_STEPS)
@@ -99,11 +92,12 @@ def solve_hypergraph(
     dof = max(graph.degrees_of_freedom - 6 * (len(names) - 1), 0)
     weight = STATED_NOISE_WEIGHT
     return HypergraphSolution(
+        estimator="hypergraph",
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
         joint_covariance=covariance * (chi2 + weight) / (dof + weight),
         residuals=residuals,
         converged=converged,
-        graph_error=_graph_error(values, observed, flatness),
+        graph_error=_graph_error(values, observed),
     )
 
 
@@ -157,7 +151,7 @@ class _HypergraphBuilder:
                 measured[capture] += numbers
         return sum(numbers - 3 for numbers in measured.values())
 
-    def observation_factors(self, flatness: float) -> list[Factor]:
+    def observation_factors(self) -> list[Factor]:
         """All edges but sensor–sensor."""
         planes = [plane_of(d) for d in self._of(self._planes) if not isinstance(d, Segment)]
         lines = [(d.endpoints, d.covariance) for d in self._of(self._lines) if isinstance(d, Segment)]
@@ -174,7 +168,7 @@ class _HypergraphBuilder:
             )
         for name, build in _OBSERVATION_FACTORS.items():
             if self._edges[name]:
-                factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, flatness))
+                factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, FLATNESS))
         return factors
 
 
@@ -186,11 +180,7 @@ _OBSERVATION_FACTORS: Mapping[str, Callable[..., Factor]] = {
 
 
 def _relative_pose_factor(
-    names: Sequence[str],
-    tree: SpanningTree,
-    pairs: Sequence[PairwiseEstimate],
-    max_stddev: float,
-    held_stddev: float,
+    names: Sequence[str], tree: SpanningTree, pairs: Sequence[PairwiseEstimate], max_stddev: float
 ) -> Factor:
     """Sensor–sensor edges (eq. 6).
 
@@ -208,7 +198,7 @@ def _relative_pose_factor(
         eigenvalues, vectors = np.linalg.eigh(pair.information)
         weights = np.maximum(eigenvalues, 0) / max(int(pair.inliers.sum()), 1)
         if tree.has_edge(pair.sensor_a, pair.sensor_b):
-            weights = np.where(eigenvalues < max_stddev**-2, held_stddev**-2, weights)
+            weights = np.where(eigenvalues < max_stddev**-2, _HELD_STDDEV**-2, weights)
         whiteners.append(np.sqrt(weights)[:, None] * vectors.T)
     return factor_types.SensorSensor(
         np.array([names.index(p.sensor_a) for p in pairs], dtype=np.intp),
@@ -218,7 +208,7 @@ def _relative_pose_factor(
     )
 
 
-def _graph_error(values: Values, observed: Sequence[Factor], flatness: float) -> float:
+def _graph_error(values: Values, observed: Sequence[Factor]) -> float:
     """Sum of squared errors, m²: of observation edges without their whitening, of measurements as they are."""
     total = 0.0
     for factor in observed:
@@ -227,6 +217,6 @@ def _graph_error(values: Values, observed: Sequence[Factor], flatness: float) ->
         elif isinstance(factor, factor_types.SensorLine):
             e = values["lines"][factor.line] - factor.measured
         else:
-            e = factor.linearize(values)[0] * flatness
+            e = factor.linearize(values)[0] * FLATNESS
         total += float(np.sum(e**2))
     return total

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from calgraph.geometry import Array, Index, plane, se3, so3
+from calgraph.geometry import Array, Index, matvec, plane, se3, so3
 from calgraph.rig.pairs.line_matches import evaluate_coplanarity
 from calgraph.rig.published.sparse_lm import Term, Values
 
@@ -40,7 +40,7 @@ class SensorSensor:
         by_relative = self.whitener.copy()
         by_relative[..., 3:] = by_relative[..., 3:] @ so3.left_jacobian_inverse(e[:, 3:])
         by_a, by_b = se3.relative_pose_jacobians(T_r_a, T_r_b)
-        return _apply(self.whitener, e), (
+        return matvec(self.whitener, e), (
             Term("sensors", self.sensor_a, by_relative @ by_a),
             Term("sensors", self.sensor_b, by_relative @ by_b),
         )
@@ -60,7 +60,7 @@ class SensorLine:
     def linearize(self, values: Values) -> tuple[Array, Sequence[Term]]:
         """Difference of the end points."""
         e = (values["lines"][self.line] - self.measured).reshape(-1, 6)
-        return _apply(self.whitener, e), (Term("lines", self.line, self.whitener),)
+        return matvec(self.whitener, e), (Term("lines", self.line, self.whitener),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +79,11 @@ class SensorPlane:
         planes = values["planes"][self.plane]
         to_chart = np.swapaxes(plane.tangent_basis(self.measured[:, :3]), -1, -2)
         difference = planes - self.measured
-        e = np.concatenate([_apply(to_chart, difference[:, :3]), difference[:, 3:]], axis=1)
+        e = np.concatenate([matvec(to_chart, difference[:, :3]), difference[:, 3:]], axis=1)
         jacobian = np.zeros((len(planes), 3, 3))
         jacobian[:, :2, :2] = to_chart @ plane.tangent_basis(planes[:, :3])
         jacobian[:, 2, 2] = 1
-        return _apply(self.whitener, e), (Term("planes", self.plane, self.whitener @ jacobian),)
+        return matvec(self.whitener, e), (Term("planes", self.plane, self.whitener @ jacobian),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ class LinePlane(_SameBoard):
     def evaluate(self, T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
         """Distances (M, 2) of both end points from the plane."""
         x_b = se3.apply(se3.inverse(T_a_b), a)
-        n_a = np.broadcast_to(_apply(T_a_b[:, :3, :3], b[:, :3])[:, None], a.shape)
+        n_a = np.broadcast_to(matvec(T_a_b[:, :3, :3], b[:, :3])[:, None], a.shape)
         by_relative = np.concatenate([-n_a, np.cross(n_a, a - T_a_b[:, None, :3, 3])], axis=-1)
         by_line = np.zeros((len(a), 2, 2, 3))
         by_line[:, [0, 1], [0, 1]] = n_a
@@ -146,7 +146,7 @@ class PlanePlane(_SameBoard):
 
     def evaluate(self, T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
         """Differences (M, 4) of the plane parameters in frame a."""
-        n_a = _apply(T_a_b[:, :3, :3], b[:, :3])
+        n_a = matvec(T_a_b[:, :3, :3], b[:, :3])
         by_relative = np.zeros((len(a), 4, 6))
         by_relative[:, :3, 3:] = so3.hat(n_a)
         by_relative[:, 3, :3] = n_a
@@ -173,7 +173,3 @@ class LineLine(_SameBoard):
         # Parallel scan planes have no residual (NaN) and get no weight.
         r, by_relative, by_a, by_b = (np.nan_to_num(part)[:, None] for part in evaluate_coplanarity(T_a_b, a, b))
         return r, by_relative, by_a, by_b
-
-
-def _apply(matrices: Array, vectors: Array) -> Array:
-    return np.asarray((matrices @ vectors[..., None])[..., 0])
