@@ -16,7 +16,7 @@ from calgraph.network.space.persons import BodySamples, date_samples
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.kept_values import Kept
 from calgraph.solver.change_tests import PeriodEquations
-from calgraph.surfaces.sensor_states import SensorState
+from calgraph.surfaces.sensor_states import SensorState, number_free
 from calgraph.surfaces.surface_elimination import SurfaceEquations
 from calgraph.verdict.state_changes import PERIOD
 
@@ -157,7 +157,7 @@ def release_periods(
     values, row, other = (np.concatenate(one) for one in zip(*blocks, strict=True))
     H = csr_array((values, (row, other)), shape=(size, size))
     P = int(free.sum())
-    of_period = (np.cumsum(free).reshape(free.shape) - 1)[sensor, column]
+    of_period = number_free(free)[sensor, column]
     same = np.concatenate([of_period, P + np.arange(B), np.arange(P)])
     equations = PeriodEquations(
         csr_array(block_diag([H, surfaces.information])), np.append(g, surfaces.gradient),
