@@ -112,11 +112,7 @@ def adjust_drive(
 ) -> Adjustment:
     """Solves for all sensors, surfaces and the trajectory jointly, by Gauss–Newton with surfaces found again.
 
-    Args:
-        parts: of the drive.
-        states: start values by sensor; the first is the root.
-        priors: of these.
-        progress: called with the fraction done.
+    The states are start values; the first is the root's. Progress is the fraction done.
     """
     free = priors.stddev > 0
     start = states
@@ -392,11 +388,9 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: in
 
 
 def change_root(adjusted: Adjustment, root: int) -> Adjustment:
-    """The states of all sensors with another root, which is first, and their covariance; without parts.
+    """The states of all sensors with another root, whose pose is free in all axes, and their covariance.
 
-    Args:
-        adjusted: the solution; its first sensor is the root.
-        root: number of the new one, whose pose is free in all axes.
+    The new root comes first, as the old one did; parts are left out.
     """
     S, columns = adjusted.free.shape
     n = len(adjusted.states[root].T_root_sensor) - 1

@@ -135,17 +135,11 @@ def average_rotations_l1mc(
 
 
 def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
-    """Spectral relaxation (Arie-Nachimson et al., "Global motion estimation from point matches", 3DIMPVT 2012).
+    """(N, n, n) rotations to the root by spectral relaxation, of a connected graph with weights (E,).
 
     Rotations are the leading eigenvectors of the matrix of relative rotations, each block of which is projected on
-    SO(n). Exact without noise, but not robust.
-
-    Args:
-        graph: connected.
-        weights: (E,) of the edges; uniform if None.
-
-    Returns:
-        (N, n, n) rotations from each node to the root.
+    SO(n). Exact without noise, but not robust. Source: Arie-Nachimson et al., "Global motion estimation from point
+    matches", 3DIMPVT 2012.
     """
     graph.require_connected()
     n, count = graph.dimension, graph.count
@@ -165,15 +159,10 @@ def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -
 
 
 def average_rotations_irls(graph: PoseGraph, start: Array, weights: Array | None = None) -> Array:
-    """L1 rotation averaging by iterative reweighting (Chatterjee and Govindu, ICCV 2013).
+    """(N, n, n) rotations to the root of least sum of angles, by reweighting from a start near the solution.
 
-    Args:
-        graph: connected.
-        start: (N, n, n) rotations from each node to the root, near the solution.
-        weights: (E,) of the edges; uniform if None.
-
-    Returns:
-        (N, n, n) rotations from each node to the root.
+    The graph is connected; weights (E,) are of its edges, uniform if None. Source: Chatterjee and Govindu,
+    "Efficient and robust large-scale rotation averaging", ICCV 2013.
     """
     graph.require_connected()
     w = np.ones(len(graph.edges)) if weights is None else weights

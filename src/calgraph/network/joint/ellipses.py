@@ -144,15 +144,10 @@ _HEADING_SIGMA = 0.3
 
 
 def compute_heading_offsets(body: EllipseObservations, positions: Array, headings: Array) -> tuple[Array, Array]:
-    """Angles between headings and the direction of motion, with the weights of their prior.
+    """Angles (K, G) between headings (K, G) or (G,) at control points (K, 2) and the direction of motion, rad.
 
-    Args:
-        body: whose path it is.
-        positions: (K, 2) control points of the path, m.
-        headings: (K, G) or (G,) at the control points, rad.
-
-    Returns:
-        Angles (K, G), modulo π because an ellipse has no front, and weights (K,), 1/rad²; zero where people stand.
+    They are modulo π because an ellipse has no front. The weights (K,) of their prior, 1/rad², are zero where
+    people stand.
     """
     velocity = np.gradient(positions, body.knots.step, axis=0)
     walking = np.linalg.norm(velocity, axis=1) > MIN_WALKING_SPEED

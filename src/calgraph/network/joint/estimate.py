@@ -369,11 +369,7 @@ def register_walls(
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body.
 
-    Args:
-        tracked: the tracks of each scanner, with its background.
-        network: with the bodies.
-        state: whose poses and systematic errors the registration starts from.
-        engine: evaluates pairs.
+    It starts from the poses and systematic errors of the state.
     """
     pairs = {
         (a.scanner, b.scanner)

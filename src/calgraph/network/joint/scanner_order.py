@@ -51,13 +51,7 @@ class ScannerOrder:
 
     @classmethod
     def from_links(cls, count: int, links: Index, unknowns: int) -> "ScannerOrder":
-        """A good order.
-
-        Args:
-            count: of scanners.
-            links: (E, 2) pairs of scanners with common entries.
-            unknowns: of each.
-        """
+        """A good order of scanners with U unknowns each, of which pairs (E, 2) have common entries."""
         groups = _find_groups(count, links)
         order = [scanner for members, _ in groups for scanner in members]
         position = np.empty(count, dtype=np.intp)

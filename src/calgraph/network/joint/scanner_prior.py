@@ -42,13 +42,9 @@ class ScannerPrior:
 
 
 def build_scanner_prior(poses: NetworkPoses, names: Sequence[str]) -> ScannerPrior:
-    """The prior of those scanners of a network that have an earlier pose.
+    """The prior of those scanners of a network that have an earlier pose, in the frame of its root, the first.
 
     Where the correlations of their errors are unknown (all zero), the prior is weaker than for any correlations.
-
-    Args:
-        poses: earlier ones, in the frame of the network's root.
-        names: of the network, the root first.
     """
     shared = [name for name in names[1:] if name in poses.names]
     selected = poses.select([names[0], *shared])

@@ -37,12 +37,9 @@ class _Likelihood:
     """(N, N) largest prior covariance; errors of different kinds are independent."""
 
     def log_evidence(self, share: Array, varied: int, trials: Array) -> Array:
-        """(n,) logarithm of the probability of the data for trials of the share of one kind, up to a constant.
+        """(n,) logarithm of the probability of the data for trials (n,) of the share of a kind, up to a constant.
 
-        Args:
-            share: (E,) of the standard deviation of each kind in the largest one.
-            varied: the kind whose share has other values.
-            trials: (n,) these.
+        Shares (E,) are of the standard deviation of each kind in the largest one.
         """
         own, others = np.flatnonzero(self.kind == varied), np.flatnonzero(self.kind != varied)
         scale = share[self.kind[others]]
@@ -68,12 +65,9 @@ _MIN_SYSTEMATIC_SHARE = 1 / 64
 def estimate_systematic_sigma(
     equations: NetworkEquations, prior_sigma: Array, engine: MapEngine = THIS_PROCESS
 ) -> Array:
-    """(S, E) standard deviations of systematic errors, from the posterior of their share.
+    """(S, E) standard deviations of systematic errors, from the posterior of their share, near the minimum.
 
-    Args:
-        equations: near the minimum.
-        prior_sigma: (S, E) the largest standard deviations; 0 for what is exact.
-        engine: evaluates groups of scanners.
+    The largest ones (S, E) are 0 for what is exact.
     """
     octaves = -np.log2(_MIN_SYSTEMATIC_SHARE)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))

@@ -259,17 +259,7 @@ def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
 def observe_clouds(
     splitter: CloudSplitter, spec: Lidar3dSpec, settings: TrackingSettings, rng: np.random.Generator
 ) -> SpaceObservations | Rejected:
-    """What a stationary LiDAR measured.
-
-    Args:
-        splitter: that all its clouds were added to.
-        spec: of the sensor, for the errors of its ranges.
-        settings: of tracking.
-        rng: of the search for the floor.
-
-    Returns:
-        Floor, static points and tracks, or why there are none.
-    """
+    """The floor, static points and tracks that a stationary LiDAR measured, or why there are none."""
     split = splitter.finish()
     if split is None:
         return Rejected("no cloud has any point")
