@@ -112,7 +112,11 @@ def adjust_drive(
 ) -> Adjustment:
     """Solves for all sensors, surfaces and the trajectory jointly, by Gauss–Newton with surfaces found again.
 
-    The states are start values; the first is the root's. Progress is the fraction done.
+    Args:
+        parts: of the drive.
+        states: start values by sensor; the first is the root.
+        priors: of these.
+        progress: called with the fraction done.
     """
     free = priors.stddev > 0
     start = states
@@ -388,9 +392,11 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: in
 
 
 def change_root(adjusted: Adjustment, root: int) -> Adjustment:
-    """The states of all sensors with another root, whose pose is free in all axes, and their covariance.
+    """The states of all sensors with another root, which is first, and their covariance; without parts.
 
-    The new root comes first, as the old one did; parts are left out.
+    Args:
+        adjusted: the solution; its first sensor is the root.
+        root: number of the new one, whose pose is free in all axes.
     """
     S, columns = adjusted.free.shape
     n = len(adjusted.states[root].T_root_sensor) - 1

@@ -96,8 +96,11 @@ def _average(poses: Array) -> Array:
 def chain_boards(sources: Mapping[int, CameraSource], states: Mapping[int, SensorState]) -> Track | None:
     """The trajectory of the root by its clock, in the world of the boards that cameras detect one after another.
 
-    Boards are connected where two of them are detected at one time, by any cameras, at start values of their
-    states. Others are left out.
+    Boards are connected where two of them are detected at one time, by any cameras. Others are left out.
+
+    Args:
+        sources: cameras by number of the sensor.
+        states: their start values.
     """
     by_board: dict[int, list[tuple[float, Array]]] = {}
     for k, source in sources.items():

@@ -27,9 +27,13 @@ _NEAR = 0.3
 def collect_pictures(
     names: Sequence[str], starts: Mapping[str, MotionStart | Rejected], adjusted: Adjustment, root: int = 0
 ) -> Pictures:
-    """The pictures of the joint solution, with times from the start of the trajectory of the root, by its number.
+    """The pictures of the joint solution, with times from the start of the trajectory.
 
-    Names are of the sensors that were adjusted, starts by sensor but the root.
+    Args:
+        names: of the sensors that were adjusted.
+        starts: by sensor but the root.
+        adjusted: the joint solution.
+        root: number of the sensor whose path is shown.
     """
     origin, T_lead_root = adjusted.parts[0].trajectory.start, adjusted.states[root].T_root_sensor
     views: list[DriveView] = []

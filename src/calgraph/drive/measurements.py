@@ -97,8 +97,13 @@ class Measurements(Protocol):
     ) -> "Measurements":
         """The measurements with their noise estimated again, by residuals and what the trajectory follows of them.
 
-        Those whose noise is known are returned as they are. The variances of a thousand rows take as long as an
-        iteration.
+        Those whose noise is known are returned as they are.
+
+        Args:
+            trajectory: as of :meth:`linearize`.
+            states: as of :meth:`linearize`.
+            shared: as of :meth:`linearize`.
+            variance_of: takes as long as an iteration for a thousand rows.
         """
         ...
 

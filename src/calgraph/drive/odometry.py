@@ -60,7 +60,10 @@ class OdometryTrack(Track):
 def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator) -> OdometryTrack:
     """The trajectory of a sensor at the times of its sweeps, in a world that begins in its first pose.
 
-    Of each sweep, a number of points are registered, drawn at random, those more often that determine the motion.
+    Args:
+        sweeps: in order of time.
+        points: of each sweep that are registered, drawn at random, those more often that determine the motion.
+        rng: for them.
     """
     n = sweeps[0].points.shape[1]
     limits = _LIMITS[n]

@@ -135,7 +135,11 @@ def place_points(
 ) -> PlacedPoints:
     """Some points of each sensor in the world, sensor by sensor.
 
-    By sensor, (N,) which points, all within the trajectory; they may be moved along their beams, by (N,), m.
+    Args:
+        part: of the drive.
+        states: of the sensors.
+        used: (N,) by sensor, which points; all within the trajectory.
+        beyond: (N,) by which they are moved along their beams, m.
     """
     counts = [int(one.sum()) for one in used]
     ahead = np.split(np.broadcast_to(beyond, sum(counts)), np.cumsum(counts)[:-1])

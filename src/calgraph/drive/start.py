@@ -100,8 +100,11 @@ StartMotion = Literal["free", "level", "turn"]
 def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tuple[float, float]:
     """The offset of the sensor's clock, s, at which turn rates agree best, and Pearson's coefficient there.
 
-    Offsets are searched up to a limit, s; where the two have no time in common then, all at which they have half
-    of the shorter one.
+    Args:
+        root: trajectory of the root.
+        sensor: of the sensor.
+        max_offset: to search within, s; where they have no time in common then, at all offsets at which they have
+            half of the shorter one.
     """
     (own, own_known), (rates, known) = (
         one.turn_rates(np.arange(one.start, one.end, 1 / _RATE)) for one in (root, sensor)
@@ -383,8 +386,13 @@ def solve_starts(
     """The start pose and clock of each sensor but the one that leads, against it, or why it has none.
 
     Cameras before boards cover little of the time. Where all sensors do, those that are connected serve the next
-    ones together: they have poses in the frames of the same boards. Tracks and what starts are found from are by
-    sensor.
+    ones together: they have poses in the frames of the same boards.
+
+    Args:
+        lead: name of the sensor that leads.
+        tracks: trajectory by sensor, or why it has none.
+        motions: what each start is found from.
+        seed: of random samples.
     """
     along = tracks[lead]
     if isinstance(along, Rejected):

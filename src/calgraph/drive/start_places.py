@@ -44,7 +44,11 @@ def add_heights(
 ) -> dict[str, MotionStart | Rejected]:
     """The starts with the heights of LiDARs over what they and the sensor that leads measure below or above them.
 
-    Starts are against that sensor; those by motions in the plane are at height 0. Stated heights are taken first.
+    Args:
+        starts: by sensor; those by motions in the plane are at height 0.
+        lead: the sensor that they are against.
+        sources: by sensor.
+        stated: poses by sensor, whose heights are taken first.
     """
     root = sources[lead]
     return {
@@ -62,7 +66,12 @@ def add_heights(
 
 
 def leave_open(adjusted: Adjustment, starts: Sequence[MotionStart]) -> Adjustment:
-    """The solution with heights that no floor shows as uncertain as they are; starts are in its order."""
+    """The solution with heights that no floor shows as uncertain as they are.
+
+    Args:
+        adjusted: of the sensor that leads, and of others.
+        starts: of the others, in their order.
+    """
     change = np.zeros((sum(start.open_height for start in starts), *adjusted.free.shape))
     opened = [(k, start.axis) for k, start in enumerate(starts, start=1) if start.open_height]
     for row, (k, axis) in zip(change, opened, strict=True):

@@ -64,8 +64,13 @@ def find_wrong_poses(
 ) -> list[Finding]:
     """Stated poses that the solution contradicts.
 
-    Source: Baarda, "A testing procedure for use in geodetic networks", 1968. The solution has poses T (n+1, n+1)
-    of the used sensors, and covariances P (n + d, n + d), 0 where nothing is measured.
+    Args:
+        stated: by sensor.
+        used: names of the sensors in the solution.
+        T: poses (n+1, n+1) of these,
+        P: and their covariances (n + d, n + d), 0 where nothing is measured.
+
+    Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
     """
     found = []
     for name, pose, covariance in zip(used, T, P, strict=True):

@@ -118,9 +118,13 @@ class Wheels:
 def locate_root(
     adjusted: Adjustment, root: int = 0, *, inverted: bool = False, wheels: Wheels | None = None
 ) -> VehiclePose | Rejected:
-    """The root, by its number, on the vehicle, from the trajectory and the floor of an adjusted drive.
+    """The root on the vehicle, from the trajectory and the floor of an adjusted drive.
 
-    Its z axis points down if it is inverted. Wheels determine y.
+    Args:
+        adjusted: the drive.
+        root: number of the sensor that is the root.
+        inverted: whether the root's z axis points down.
+        wheels: determine y.
     """
     sensors = _select_located(adjusted, root)
     measure = partial(_measure_chords, root=root, inverted=inverted, sensors=sensors, wheels=wheels)
@@ -376,8 +380,10 @@ def _fit_level(level: Array, acceleration: Array) -> tuple[Array, float]:
 def fit_axle(steps: Array, turns: Array, max_slip: float = _SLIP) -> tuple[float, float] | Rejected:
     """The vehicle's heading in the plane, rad, and the distance of its axle ahead of the root, m.
 
-    Of steps (C, S, 2) of the point below the root along the root's level axes, m, and turns (C, S) to the left,
-    rad. The slip κ has a standard deviation before the drive, s²/m.
+    Args:
+        steps: (C, S, 2) of the point below the root, along the root's level axes, m.
+        turns: (C, S) to the left, rad.
+        max_slip: standard deviation of κ before the drive, s²/m.
     """
     shift, turn = steps.sum(axis=1), turns.sum(axis=1)
     moving = (np.linalg.norm(shift, axis=1) > _STANDING[0]) | (np.abs(turn) > _STANDING[1])
@@ -424,7 +430,11 @@ def assess_base(
 ) -> BaseFrame | None:
     """The root on the vehicle with a verdict; None without ``base``.
 
-    Tracks are those of all sensors by themselves; the solution, if there is one, is of the used sensors.
+    Args:
+        rig: states the frame.
+        used: the sensors of the solution.
+        tracks: trajectories of all sensors, by themselves.
+        adjusted: the solution; None if there is none.
     """
     base = rig.base
     if base is None:

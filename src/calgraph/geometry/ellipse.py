@@ -18,10 +18,14 @@ def points(ellipses: Array, phases: Array) -> Array:
 
 
 def fit_direct(points: Array, used: NDArray[np.bool_]) -> Array:
-    """The ellipses (..., 5) with the least algebraic distance from points (..., N, 2); NaN where there is none.
+    """The ellipses (..., 5) with the least algebraic distance from points; NaN where there is none.
 
     The constraint 4ac - b² = 1 makes every solution an ellipse. Points are shifted and scaled first, and the
-    linear part is eliminated, which keeps the eigenvalue problem regular. At least six of a group have to be used.
+    linear part is eliminated, which keeps the eigenvalue problem regular.
+
+    Args:
+        points: (..., N, 2); at least six used ones in a group are needed.
+        used: (..., N).
 
     Source: Fitzgibbon, Pilu, Fisher, "Direct least squares fitting of ellipses", 1999, in the form of Halir and
     Flusser, "Numerically stable direct least squares fitting of ellipses", 1998.

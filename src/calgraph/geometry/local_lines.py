@@ -15,10 +15,14 @@ _MIN_ELONGATION2 = 9.0
 
 
 def fit_local_lines(points: Array, max_gap: Array) -> Array:
-    """Unit normals (N, 2), towards the scanner, of lines through points (N, 2) of a scan and their neighbours, m.
+    """Fits a line to each point of a scan and its neighbours.
 
-    Points are in order of angle; rows that are not finite are breaks. Successive points of a line are at most (N,)
-    apart, m. NaN where the neighbours do not lie on a line.
+    Args:
+        points: (N, 2) in order of angle, m, sensor frame; rows that are not finite are breaks.
+        max_gap: (N,) largest distance between successive points of the line of each point, m.
+
+    Returns:
+        (N, 2) unit normals of the lines, towards the scanner; NaN where the neighbours do not lie on a line.
     """
     normals = np.full(points.shape, np.nan)
     n = len(points)

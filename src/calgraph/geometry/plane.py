@@ -37,9 +37,11 @@ def distance_jacobian(planes: Array, points: Array) -> Array:
 
 
 def fit(points: Array, weights: Array | None = None) -> Array:
-    """The total-least-squares plane (4,) of points (N, 3), N >= 3, m, oriented towards the origin.
+    """The total-least-squares plane (4,) of points (N, 3), N >= 3, oriented towards the origin.
 
-    Weights (N,) are inverse variances along the normal; equal if left out.
+    Args:
+        points: (N, 3), m.
+        weights: (N,), inverse variances along the normal; equal if left out.
     """
     centre = points.mean(axis=0) if weights is None else np.average(points, axis=0, weights=weights)
     centred = points - centre

@@ -135,11 +135,17 @@ def average_rotations_l1mc(
 
 
 def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
-    """(N, n, n) rotations to the root by spectral relaxation, of a connected graph with weights (E,).
+    """Spectral relaxation (Arie-Nachimson et al., "Global motion estimation from point matches", 3DIMPVT 2012).
 
     Rotations are the leading eigenvectors of the matrix of relative rotations, each block of which is projected on
-    SO(n). Exact without noise, but not robust. Source: Arie-Nachimson et al., "Global motion estimation from point
-    matches", 3DIMPVT 2012.
+    SO(n). Exact without noise, but not robust.
+
+    Args:
+        graph: connected.
+        weights: (E,) of the edges; uniform if None.
+
+    Returns:
+        (N, n, n) rotations from each node to the root.
     """
     graph.require_connected()
     n, count = graph.dimension, graph.count
@@ -159,10 +165,15 @@ def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -
 
 
 def average_rotations_irls(graph: PoseGraph, start: Array, weights: Array | None = None) -> Array:
-    """(N, n, n) rotations to the root of least sum of angles, by reweighting from a start near the solution.
+    """L1 rotation averaging by iterative reweighting (Chatterjee and Govindu, ICCV 2013).
 
-    The graph is connected; weights (E,) are of its edges, uniform if None. Source: Chatterjee and Govindu,
-    "Efficient and robust large-scale rotation averaging", ICCV 2013.
+    Args:
+        graph: connected.
+        start: (N, n, n) rotations from each node to the root, near the solution.
+        weights: (E,) of the edges; uniform if None.
+
+    Returns:
+        (N, n, n) rotations from each node to the root.
     """
     graph.require_connected()
     w = np.ones(len(graph.edges)) if weights is None else weights

@@ -33,11 +33,18 @@ def list_incident_edges(count: int, edges: Edges) -> Adjacency:
 
 
 def find_cycle_basis(count: int, edges: Edges) -> tuple[Cycle, ...]:
-    """A basis of a graph's cycles, of short cycles where possible: E - N + C of a graph of C connected parts.
+    """A basis of a graph's cycles, of short cycles where possible.
 
     The graph is built edge by edge; each edge between two nodes already connected closes a cycle with the shortest
     path between them. Every cycle has an edge that no cycle before it has, which makes them independent. Rings of
     any length are covered, which triangles do not achieve. Parallel edges make cycles of two.
+
+    Args:
+        count: number of nodes.
+        edges: (E, 2) nodes; need not be connected.
+
+    Returns:
+        E - N + C cycles, where C is the number of connected parts.
     """
     tree = _forest(count, edges)
     adjacency: Adjacency = [[] for _ in range(count)]

@@ -23,9 +23,12 @@ _STEP_TOLERANCE, _FINAL_TOLERANCE = 1e-4, 1e-10
 
 
 def gauss_newton_step(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
-    """One Gauss–Newton step (N, n+d) along the root's fixed axes, at poses (N, n+1, n+1); zero for the root.
+    """One Gauss–Newton step (N, n+d) along the root's fixed axes; zero for the root.
 
-    Weights (E,) are of the edges' squared residuals; edges with a weight connect the graph.
+    Args:
+        graph: connected by edges with weights.
+        T_root_node: (N, n+1, n+1) where to linearise.
+        weights: (E,) of the edges' squared residuals.
     """
     H, g = build_normal_equations(graph, T_root_node, weights)
     H = csc_array(H + _RIDGE * float(H.diagonal().mean()) * eye_array(H.shape[0]))
@@ -53,8 +56,13 @@ _LAST_ROBUST_SCALE = 0.25
 def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float) -> Array:
     """Poses (N, n+1, n+1) that fit the edges within the gate, from start poses along a tree.
 
-    The gate is a squared Mahalanobis distance. Graduated non-convexity: Geman–McClure losses of ever smaller scale
-    (Yang, Antonante, Tzoumas, Carlone, RA-L 2020).
+    Graduated non-convexity: Geman–McClure losses of ever smaller scale (Yang, Antonante, Tzoumas, Carlone,
+    RA-L 2020).
+
+    Args:
+        graph: connected.
+        T_root_node: (N, n+1, n+1) start.
+        gate: squared Mahalanobis distance of an inlier.
     """
     scale = _FIRST_ROBUST_SCALE
     while scale >= _LAST_ROBUST_SCALE:
@@ -68,7 +76,10 @@ def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float) -
 def build_normal_equations(graph: PoseGraph, T_root_node: Array, weights: Array) -> tuple[csc_array, Array]:
     """The sparse matrix (N (n+d), N (n+d)) and the gradient (N, n+d) in the root's fixed axes.
 
-    The residuals are the edges, with weights (E,) of their squares, linearized at poses (N, n+1, n+1).
+    Args:
+        graph: its edges are the residuals.
+        T_root_node: (N, n+1, n+1) where to linearize.
+        weights: (E,) of the edges' squared residuals.
     """
     r = residuals(graph, T_root_node)
     J = np.stack(se_n.relative_pose_jacobians(*np.swapaxes(T_root_node[graph.edges], 0, 1)), axis=1)

@@ -13,10 +13,17 @@ _CHUNK = 200_000
 
 
 def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
-    """Node poses (K, N, n+1, n+1) along shortest-path trees from the root (Dijkstra), for positive costs (K, E).
+    """Node poses along the shortest-path trees from the root (Dijkstra), for a batch of edge costs.
 
     Every spanning tree is the shortest-path tree of some costs, so random costs make random trees. Shallow trees
-    are more frequent, along whose few edges less noise accumulates. The graph is connected.
+    are more frequent, along whose few edges less noise accumulates.
+
+    Args:
+        graph: connected.
+        costs: (K, E) positive.
+
+    Returns:
+        T_root_node (K, N, n+1, n+1).
     """
     sets = np.arange(len(costs))
     start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])

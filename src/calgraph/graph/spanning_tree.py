@@ -86,7 +86,12 @@ def find_minimum_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
 
 
 def fundamental_cuts(graph: PoseGraph, evidence: Array) -> list[tuple[int, NDArray[np.bool_]]]:
-    """The edges of the tree of most evidence (E,), >= 0, and the nodes (N,) that each cuts from the root."""
+    """The edges of the tree of most evidence, and the nodes (N,) that each separates from the root.
+
+    Args:
+        graph: connected by edges with evidence.
+        evidence: (E,) weight of each edge, not negative.
+    """
     ranked = np.argsort(-evidence, kind="stable")
     ranked = ranked[evidence[ranked] > 0]
     tree = walk_tree(graph.count, graph.edges[ranked].tolist(), [graph.root])
@@ -107,7 +112,10 @@ class TreeStep(NamedTuple):
 def walk_tree(count: int, ranked: Sequence[tuple[int, int]], start: Iterable[int]) -> list[TreeStep]:
     """Grows the spanning tree that prefers the first of ranked edges (Prim), parents before their children.
 
-    Edges are both their ends; the tree starts with some of the nodes.
+    Args:
+        count: of the nodes.
+        ranked: both ends of each edge.
+        start: nodes that the tree starts with.
     """
     of_node: list[list[int]] = [[] for _ in range(count)]
     for rank, ends in enumerate(ranked):

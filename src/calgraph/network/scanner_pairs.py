@@ -256,7 +256,11 @@ def report_clocks_and_mountings(
 ) -> list[Finding]:
     """What was corrected, as remarks; what the tracks do not determine, as reasons for a weak pose.
 
-    Corrected are clocks of scanners minus the root's, s.
+    Args:
+        root: the scanner whose clock and mounting the others are compared with.
+        solution: clocks and mountings of all scanners.
+        corrected: clock of a scanner minus the root's, s, for those that were corrected.
+        settings: of their search.
     """
     findings = [
         Finding(

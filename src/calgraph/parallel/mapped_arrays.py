@@ -30,7 +30,11 @@ def refuse_full_folder(size: int, remedy: str = "") -> Iterator[None]:
 
 
 class ArrayMemory:
-    """Memory for arrays of values, up to some bytes; further ones are mapped, constant, in unnamed files."""
+    """Memory for the arrays of values; further ones are mapped, cannot be changed, and in files without a name.
+
+    Args:
+        max_bytes: of arrays in memory; further ones are in files.
+    """
 
     def __init__(self, max_bytes: float = math.inf) -> None:
         self._left = max_bytes

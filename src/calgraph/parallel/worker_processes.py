@@ -37,8 +37,11 @@ _MAX_LOST = 1
 class WorkerProcesses:
     """A :class:`calgraph.parallel.engine.MapEngine` of processes, which are started when there are calls for them.
 
-    A call runs where the values that it takes are kept; other calls run in the next free process. Each process
-    keeps arrays of a number of bytes in memory; further ones are in temporary files.
+    A call runs where the values that it takes are kept; other calls run in the next free process.
+
+    Args:
+        workers: processes at most.
+        max_kept_bytes: of arrays that each of them keeps in memory; further ones are in temporary files.
     """
 
     def __init__(self, workers: int, max_kept_bytes: float) -> None:

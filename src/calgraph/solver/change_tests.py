@@ -69,10 +69,13 @@ class ChangeTest:
 def search_changes(
     equations: PeriodEquations, directions: Sequence[Array | csr_array], most: int, false_alarm_probability: float
 ) -> Iterator[tuple[int, list[ChangeTest]]]:
-    """The significant changes up to a number, each searched beside those before it: its number, and all tests.
+    """The significant changes, each searched beside those before it: its number, and the tests of all.
 
-    Numbers change by directions (R, c) with each change that may be. The probability of a false alarm is of each
-    test, where nothing changes.
+    Args:
+        equations: at the solution.
+        directions: (R, c) of each change that may be, by which numbers change with it.
+        most: number of changes that are searched for.
+        false_alarm_probability: of each test, where nothing changes.
     """
     for _ in range(most if directions else 0):
         tests = _test_changes(equations, directions, false_alarm_probability)

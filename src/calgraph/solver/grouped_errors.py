@@ -12,7 +12,10 @@ _ROUNDS = 10
 def solve_with_grouped_errors(A: Array, differences: Array, groups: NDArray[np.int64]) -> tuple[Array, Array]:
     """Solution (U,) and its standard deviations (U,): Huber's weights, and a sandwich covariance of groups.
 
-    Of derivatives (M, K, U) and differences (M, K) of M samples of K values, in groups (M,) numbered from 0.
+    Args:
+        A: (M, K, U) derivatives of M samples of K values.
+        differences: (M, K).
+        groups: (M,) of samples, numbered from 0.
     """
     weights = np.ones(len(A))
     ridge = 1e-9 * len(A) * np.eye(A.shape[2])

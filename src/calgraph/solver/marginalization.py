@@ -18,8 +18,14 @@ _MAX_TRACE = 1e10
 def marginalize_bias(information: Array, gradient: Array, cost: Array, prior: Array) -> tuple[Array, Array, Array]:
     """Normal equations of V views with their biases marginalised: ``A - A P A = (I + A Q)⁻¹ A`` and ``b - A P b``.
 
-    Of the information A (V, q, q), gradient b (V, q) and cost (V,). The prior covariance Q, (n, n) or (V, n, n),
-    of the bias of the first n parameters may be singular.
+    Args:
+        information: (V, q, q) A.
+        gradient: (V, q) b.
+        cost: (V,).
+        prior: (n, n) or (V, n, n) covariance Q of the bias of the first n parameters, which may be singular.
+
+    Returns:
+        (V, q, q), (V, q) and (V,).
     """
     A, b, n = information, gradient, prior.shape[-1]
     to_bias, b_bias = A[:, :, :n], b[:, :n]
@@ -50,7 +56,9 @@ def marginalize_independent_biases(
 def compute_bias_covariance(information: Array, prior: Array) -> Array:
     """Posterior covariances P (V, n, n) of biases, ``(I + Q A)⁻¹ Q``; the most likely bias is ``-P b``.
 
-    Of the information A (V, n, n), and the prior Q, (n, n) or (V, n, n), which may be singular.
+    Args:
+        information: (V, n, n) A.
+        prior: (n, n) or (V, n, n) Q, which may be singular.
     """
     matrix = np.eye(prior.shape[-1]) + prior @ information
     trace = np.trace(matrix, axis1=-2, axis2=-1)

@@ -136,10 +136,12 @@ def find_consensus(
 
 
 def _required_samples(inlier_probability: float, confidence: float) -> float:
-    """Number of samples after which one without outliers has been drawn with a confidence.
+    """Number of samples after which one without outliers has been drawn with the given probability.
 
-    The probability of a sample without outliers is the share of inliers to the power of the sample size, in the
-    mean of both ways to sample.
+    Args:
+        inlier_probability: of a sample without outliers: the share of inliers to the power of the sample size, in
+            the mean of both ways to sample.
+        confidence: required probability.
     """
     return float(np.log1p(-confidence) / np.log1p(-np.clip(inlier_probability, 1e-300, 1 - 1e-12)))
 
@@ -159,9 +161,14 @@ def _draw_samples(n: int, size: int, count: int, rng: np.random.Generator) -> In
 
 
 def select_best_of_groups(r2: Array, groups: Indices) -> NDArray[np.bool_]:
-    """(N,) the best member of each group (N,) if it is within the threshold.
+    """Marks the best member of each group if it is within the threshold.
 
-    Of squared residuals (N,) in units of the squared threshold; NaN counts as infinite.
+    Args:
+        r2: (N,) squared residuals in units of the squared threshold; NaN counts as infinite.
+        groups: (N,).
+
+    Returns:
+        (N,) with at most one True in each group.
     """
     r2 = np.where(np.isnan(r2), np.inf, r2)
     by_residual = np.argsort(r2, kind="stable")

@@ -10,8 +10,11 @@ def compute_squared_distances(
 ) -> tuple[Array, Index]:
     """Squared distances (...) along the directions whose variance is not zero, and their numbers (...).
 
-    Of errors (..., n) with covariances (..., n, n). A variance is zero up to a limit, in squares of the scale
-    (..., n): standard deviations, those of the covariance if left out.
+    Args:
+        error: (..., n).
+        covariance: (..., n, n).
+        least_variance: up to which a variance is zero, in squares of the scale.
+        scale: (..., n) standard deviations; those of the covariance if left out.
     """
     if scale is None:
         scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), np.finfo(float).tiny))

@@ -25,8 +25,10 @@ def measure_agreement(worlds: Sequence[Sequence[tuple[Array, Index]]]) -> Array:
     """(S, S) by how many surfaces the maps of two sensors agree, along the direction of walls with the fewest.
 
     Surfaces on which they agree count as 1, others as -1, by the squares of their normals along a direction; the
-    worst direction counts, and the worst but one in space, which has a floor. Of each world, the points (N, n)
-    that each sensor measured there, m, and the views (N,) of these.
+    worst direction counts, and the worst but one in space, which has a floor.
+
+    Args:
+        worlds: of each world, the points (N, n) that each sensor measured there, m, and the views (N,) of these.
     """
     agree, differ = np.sum([compare_maps(world) for world in worlds], axis=0)
     return np.asarray(np.linalg.eigvalsh(agree - differ)[..., -2])
@@ -35,7 +37,8 @@ def measure_agreement(worlds: Sequence[Sequence[tuple[Array, Index]]]) -> Array:
 def compare_maps(world: Sequence[tuple[Array, Index]]) -> Array:
     """(2, S, S, n, n) sums of n nᵀ over the surfaces of two sensors on which the other's points are, and are not.
 
-    Of the points (N, n) of each sensor, m, and their views (N,).
+    Args:
+        world: the points (N, n) of each sensor, m, and their views (N,).
     """
     S, n = len(world), world[0][0].shape[1]
     sums = np.zeros((2, S, S, n, n))

@@ -8,9 +8,13 @@ from calgraph.surfaces.trajectory import Track
 
 
 def place_points(view: DriveView, path: DrivePath, T_root_sensor: Array, delay: float = 0.0) -> Array:
-    """The points (N, 3) of a view in the world of its part, m, by the pose (4, 4) of its sensor.
+    """The points (N, 3) of a view in the world of its part, m.
 
-    They may be taken to have been measured later, by a delay, s.
+    Args:
+        view: of a sensor.
+        path: of the part.
+        T_root_sensor: (4, 4).
+        delay: by which the points are taken to have been measured later, s.
     """
     T = Track(path.times, path.T_world_root).at(view.times + delay) @ T_root_sensor
     return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], view.points.astype(np.float64)) + T[:, :3, 3])

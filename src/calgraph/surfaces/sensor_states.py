@@ -75,9 +75,14 @@ class SensorState:
         return np.asarray(points * (1 - self.range_scale - self.range_bias / ranges))
 
     def place(self, points: Array, beyond: Array | float = 0.0) -> tuple[Array, Array]:
-        """Points (N, n) as measured, m, in the root's frame, and (N, n, n + d + 6) their derivatives by the state.
+        """Points in the frame of the root, and the derivatives of their places by the state.
 
-        They may be moved along their beams, by (N,), m. Derivatives by clock and timing are 0.
+        Args:
+            points: (N, n) as measured, sensor frame, m.
+            beyond: (N,) by which they are moved along their beams, m.
+
+        Returns:
+            (N, n) m, and (N, n, n + d + 6); those by clock and timing are 0.
         """
         n = points.shape[1]
         ranges = measure_lengths(points) if n == 3 else np.hypot(*points.T)

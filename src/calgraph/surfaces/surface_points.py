@@ -49,11 +49,18 @@ def fit_surfaces(world: Array, view: Index, thickness: float) -> FlatCells:
 def meet_surfaces(world: Array, beams: Array, surfaces: FlatCells, cell: Index) -> tuple[Array, Array, Array]:
     """Distances (N,) of points from the surfaces of cells, cosines (N,) of incidence, and lengths (N,) to these.
 
-    Of points (N, n), m, and unit vectors (N, n) of beams: distances along the normals, m; cosines, positive;
-    lengths by which beams go on to their surfaces, m. Derivatives are those of the places where beams meet
-    surfaces: the noise of a range moves a point away from its surface and, at oblique incidence, along it. At
-    measured places both belong together, so that floors seem to fall away from the sensor, as ranges that are too
-    long make them.
+    Derivatives are those of the places where beams meet surfaces: the noise of a range moves a point away from
+    its surface and, at oblique incidence, along it. At measured places both belong together, so that floors seem
+    to fall away from the sensor, as ranges that are too long make them.
+
+    Args:
+        world: (N, n) points, m.
+        beams: (N, n) their unit vectors.
+        surfaces: of the world.
+        cell: (N,) of each point.
+
+    Returns:
+        Distances, m, along the normals; cosines, positive; lengths by which beams go on to their surfaces, m.
     """
     normals = surfaces.normals[cell]
     distance = np.einsum("ni,ni->n", normals, world - surfaces.center[cell])

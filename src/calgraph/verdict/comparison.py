@@ -266,7 +266,11 @@ def compare_poses(
 
     A sensor fails along an axis if its error exceeds the tolerance and is significant, over all six axes and along
     that axis. Significant errors within the tolerance are warnings, and so are axes whose uncertainty exceeds the
-    tolerance. If the root has moved, all others appear to have moved. Residuals are by sensor, under both.
+    tolerance. If the root has moved, all others appear to have moved.
+
+    Args:
+        matched: the extrinsics and the estimate.
+        residuals: by sensor, under both.
     """
     comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
     in_root = next(c for c in comparisons if c.reference == matched.estimated.root)

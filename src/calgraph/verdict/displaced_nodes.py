@@ -65,10 +65,16 @@ def find_displaced_nodes(
 def estimate_displacements(
     T_root_node: Array, difference: Array, covariance: Array, nodes: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Displacements of at most N - 1 nodes if all others have not moved, by generalised least squares.
+    """Displacements of some nodes if all others have not moved, by generalised least squares.
 
-    (K, d) along the root's fixed axes, m and rad, and their covariances (K, d, d); other arguments are as for
-    :func:`find_displaced_nodes`.
+    Args:
+        T_root_node: as for :func:`find_displaced_nodes`, with the next two.
+        difference: of two sets of poses.
+        covariance: of the difference.
+        nodes: that have moved; at most N - 1.
+
+    Returns:
+        Displacements (K, d) along the root's fixed axes, m and rad, and their covariances (K, d, d).
     """
     d = difference.shape[1]
     factor = np.linalg.cholesky(covariance[d:, d:])

@@ -48,9 +48,12 @@ class PriorParameter(DescribedParameter):
 
 
 def describe_deviation(parameter: DescribedParameter, deviation: float, of: str = "") -> str:
-    """How far a parameter is from the stated value, as a clause; of a focal length, relatively.
+    """How far a parameter is from the stated value, as a clause.
 
-    It may be a parameter of something that stands for several.
+    Args:
+        parameter: the parameter.
+        deviation: of its value; of a focal length, relative.
+        of: what it is a parameter of, where it stands for several.
     """
     word = r"\2" if deviation < 0 else r"\1"
     clause = parameter.clause or "{quantity} of {of} is {size} larger|smaller than stated"
@@ -60,7 +63,13 @@ def describe_deviation(parameter: DescribedParameter, deviation: float, of: str 
 
 
 def describe_contradiction(deviation: str, ratio: float, prior: str) -> str:
-    """A deviation that is too large, as a sentence: by its ratio to what its prior, σ with its unit, allows."""
+    """A deviation that is too large, as a sentence.
+
+    Args:
+        deviation: as of :func:`describe_deviation`.
+        ratio: of it to what its prior allows.
+        prior: the standard deviation of the prior with its unit.
+    """
     return (
         f"{deviation}; this is {ratio:.1f} times its uncertainty in rig.yaml (σ {prior}): "
         "check it, correct rig.yaml or state a larger uncertainty there, and calibrate again"

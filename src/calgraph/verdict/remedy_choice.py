@@ -33,7 +33,10 @@ M = TypeVar("M", bound=Measure)
 def choose_axis(before: Array, after: Array, limits: Array) -> int:
     """The axis whose gain is stated: the least certain one now, or another that alone is too uncertain afterwards.
 
-    Of standard deviations (6,) before and with a remedy, and their limits (6,).
+    Args:
+        before: (6,) standard deviations of a sensor,
+        after: and those with a remedy.
+        limits: (6,) of these.
     """
     axis = int(np.argmax(before / limits))
     return axis if after[axis] > limits[axis] or np.all(after <= limits) else int(np.argmax(after / limits))
@@ -42,7 +45,10 @@ def choose_axis(before: Array, after: Array, limits: Array) -> int:
 def choose_measures(measures: Sequence[M], excess: Callable[[M], float], now: float) -> list[M]:
     """The cheapest measures that suffice, of two where no single one does; otherwise the best ones.
 
-    The excess is the worst standard deviation after a measure over its limit; now it is the present one.
+    Args:
+        measures: to choose from.
+        excess: the worst standard deviation after a measure over its limit,
+        now: and the present one.
     """
     single = [one for one in measures if excess(one) <= max((1 - _MIN_DECREASE) * now, 1)]
     enough = sorted((one for one in single if excess(one) <= 1), key=lambda one: one.minutes)

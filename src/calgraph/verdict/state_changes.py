@@ -132,8 +132,11 @@ def _change_states(numbers: int, places: Array, sensor: int, kind: Kind) -> Arra
 def describe_changes(changes: Sequence[Change], names: Sequence[str], root: str, start: float) -> list[Finding]:
     """A finding for each change: what changed, when and by how much, and what to do.
 
-    The first of the names is the sensor that the others were solved for, the root that to which their poses are
-    published. The recording starts at a time by the clock of the first, s.
+    Args:
+        changes: of the solution.
+        names: of its sensors, the first of which the others were solved for.
+        root: to which their poses are published.
+        start: of the recording by the clock of the first, s.
     """
     found = []
     for change in changes:

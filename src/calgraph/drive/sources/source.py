@@ -55,9 +55,12 @@ class Source(ABC):
         trajectory: SplineTrajectory,  # noqa: ARG002
         state: SensorState,  # noqa: ARG002
     ) -> Sequence[Measurements]:
-        """What it measured, as sensor k, of the trajectory itself: that of the root during a part of the drive.
+        """What it measured of the trajectory itself.
 
-        Trajectory and state are start values.
+        Args:
+            k: its number.
+            trajectory: of the root during a part of the drive, at its start value.
+            state: of the sensor, at its start value.
         """
         return ()
 

@@ -232,7 +232,11 @@ def build_edge(
 ) -> Edge:
     """The evidence of a pair, or why there is none.
 
-    Poses (3, 3) are of both scanners of the pairs that agree with the solution, parents those in the tree.
+    Args:
+        pair: names of its scanners.
+        found: of it.
+        inlier_poses: (3, 3) of both scanners of the pairs that agree with the solution.
+        parents: of scanners in the tree.
     """
     a, b = pair
     if isinstance(found, Rejected):
@@ -299,7 +303,10 @@ def collect_beam_views(
 ) -> tuple[tuple[BeamView, ...], dict[str, FitError]]:
     """Residuals of each scanner's inlier beams, thinned for pictures, and their number and RMS.
 
-    The start is that of the recording by the root's clock, s.
+    Args:
+        joint: the joint solution.
+        names: of its scanners.
+        start: of the recording by the root's clock, s.
     """
     if joint.solved is None:
         return (), {}
@@ -370,7 +377,12 @@ class CrossScannerMatches:
 def match_across_scanners(
     samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
 ) -> CrossScannerMatches:
-    """Matches the samples of all pairs of scanners with poses (3, 3) that detected anything near each other."""
+    """Matches the samples of all pairs of connected scanners that detected anything near each other.
+
+    Args:
+        samples: by scanner; those without a pose are left out.
+        T_root_scanner: poses (3, 3) of the connected scanners.
+    """
     names = [name for name in samples if name in T_root_scanner]
     distance = {name: np.full(len(samples[name].tick), np.inf) for name in names}
     residuals = [np.zeros((0, 2))]
@@ -419,7 +431,10 @@ def build_walk_rows(
 ) -> tuple[CaptureRow, ...]:
     """One row for each scanner and walk, in order of time: whether another scanner detected it too, or why not.
 
-    The matches are of the connected scanners; times are from the start of the recording, s.
+    Args:
+        samples: by scanner.
+        matches: of the connected ones among them.
+        start: of the recording, s.
     """
     rows = [
         (
@@ -468,9 +483,13 @@ def build_floor_views(
     T_root_scanner: Mapping[str, Array],
     start: float,
 ) -> tuple[FloorView, ...]:
-    """Static points and walks of each connected scanner, with a pose (3, 3), in the root frame, thinned.
+    """Static points and walks of each connected scanner in the root frame, thinned for a floor plan.
 
-    Times are from the start of the recording, s.
+    Args:
+        tracked: by scanner.
+        samples: of the same.
+        T_root_scanner: poses (3, 3) of the connected scanners.
+        start: of the recording, s.
     """
     names = [name for name in tracked if name in T_root_scanner]
     lines = {name: list(_split_lines(samples[name], _MAX_POSITIONS // len(names))) for name in names}

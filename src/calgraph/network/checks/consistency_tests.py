@@ -31,8 +31,11 @@ def find_inconsistent_parts(
 ) -> Iterator[Finding]:
     """Halves of the recording, or groups of people, that give other poses.
 
-    The variance factor is observed over expected variance of the parts, at least 1. The probability of a false
-    alarm is divided among groups of scanners that are tested.
+    Args:
+        parts: of the joint solution.
+        names: of its scanners, the root first.
+        variance_factor: observed over expected variance of the parts, at least 1.
+        groups: number of groups of scanners that are tested.
     """
     halves: Mapping[str, NDArray[np.bool_]] = {
         "the first and the second half of the recording": _split_by_time(parts),
@@ -140,10 +143,16 @@ def measure_scatter(parts: NetworkContributions) -> Scatter:
 def find_disagreement(
     joint: NetworkSolution, T_root_averaged: Array, averaged_covariance: Array, names: Sequence[str]
 ) -> Iterator[Finding]:
-    """Whether the joint solution is farther from averaged poses (S, 3, 3) than their covariance (3S, 3S) allows.
+    """Whether the joint solution is farther from the averaged pairs than their covariance allows.
 
     The joint solution is the more precise one by far, so that the covariance of the difference is at most that of
     averaging (Hausman, "Specification tests in econometrics", 1978).
+
+    Args:
+        joint: the joint solution.
+        T_root_averaged: (S, 3, 3) averaged poses.
+        averaged_covariance: (3S, 3S) of these, zero for the root.
+        names: of the scanners, the root first.
     """
     difference = se2.difference(joint.T_root_scanner, T_root_averaged)
     p = compute_p_value(difference[1:].ravel(), averaged_covariance[3:, 3:], _MIN_RELATIVE_VARIANCE)
@@ -163,8 +172,11 @@ def compute_p_value(
 ) -> float:
     """Probability of a larger squared Mahalanobis distance, along directions whose variance is not zero.
 
-    Of an error (n,) with a covariance (n, n). Variances are zero below a limit, in squares of the scale (n,):
-    standard deviations, those of the covariance if left out.
+    Args:
+        error: (n,).
+        covariance: (n, n).
+        min_relative_variance: below which a variance is zero, in squares of the scale.
+        scale: (n,) standard deviations; those of the covariance if left out.
     """
     if scale is not None:
         # Unknowns without any information have a scale of zero.

@@ -22,7 +22,10 @@ def collect_network_findings(
 ) -> Sequence[Finding]:
     """Scanners that were bumped, or may be elsewhere, or rest on a pair that disagrees about most positions.
 
-    The start is that of the recording, s.
+    Args:
+        tracks: of each scanner, or why it has none.
+        initialization: averaged poses of the connected scanners.
+        start: of the recording, s.
     """
     return (
         *describe_bumps(initialization.names[0], tracks, start),
@@ -88,10 +91,15 @@ _MAX_INSTANT = 1.5
 def describe_bumps(
     root: str, followed: Mapping[str, ScannerTracks | Rejected], start: float
 ) -> tuple[Finding, ...]:
-    """What moved, when after the start of a recording, s, and from which data each of these is calibrated.
+    """What moved, when, and from which data each of these scanners is calibrated.
 
     A pose from before the last bump is weak, as the scanner has moved since; if it is the root's, those of all
     scanners are.
+
+    Args:
+        root: name of the root.
+        followed: the tracks of each scanner, or why it has none.
+        start: of the recording, s.
     """
     return tuple(
         _describe(name, one, start, tuple(followed) if name == root else (name,), is_root=name == root)

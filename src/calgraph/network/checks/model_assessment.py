@@ -203,7 +203,11 @@ def find_systematic_errors(errors: SystematicErrors, names: Sequence[str]) -> It
     Those that the data do not distinguish, such as range scales of all scanners, are named together; in large
     networks, those of scanners that measured common bodies. Stretches grow with the square of the tilt that causes
     them: a tilt of ``t`` standard deviations stretches ranges by ``t² / 2`` of the prior's, which is compared with
-    the limit of ``t``. The first of the names is the root's.
+    the limit of ``t``.
+
+    Args:
+        errors: of the joint solution.
+        names: of its scanners, the root first.
     """
     named = set[tuple[str, str]]()
     for scanner, name in enumerate(names):
@@ -241,7 +245,13 @@ def _select_estimates(errors: SystematicErrors, names: Sequence[str], scanners: 
 
 
 def find_poor_fit(solved: NetworkEquations, names: Sequence[str], background: Array) -> Iterator[Finding]:
-    """The findings of all tests of the fit; (S,) is the noise of each scanner's static background, m."""
+    """The findings of all tests of the fit.
+
+    Args:
+        solved: the joint solution.
+        names: of its scanners, the root first.
+        background: (S,) noise of each scanner's static background, m.
+    """
     yield from _find_noise_at_limit(solved, names, background)
     yield from _find_model_error_at_limit(solved, names)
     yield from _find_unused_beams(solved, names)
@@ -312,10 +322,13 @@ _MAX_BEAM_CORRELATION = 0.2
 def find_correlated_beams(
     names: Sequence[str], correlation: Array, errors: Array, max_stddev: float
 ) -> Iterator[Finding]:
-    """A finding if residuals of adjacent beams are correlated: (S,) of :func:`correlate_adjacent_beams`.
+    """A finding if residuals of adjacent beams are correlated.
 
-    Errors (S,) of :func:`measure_outline_errors`, m, beyond the largest standard deviation of a position that is
-    good make poses weak by themselves.
+    Args:
+        names: of the S scanners, the root first.
+        correlation: (S,) of :func:`correlate_adjacent_beams`.
+        errors: (S,) of :func:`measure_outline_errors`, m; beyond the next they make poses weak by themselves.
+        max_stddev: of the position of a scanner whose pose is good, m.
     """
     if len(scanners := np.flatnonzero(correlation > _MAX_BEAM_CORRELATION)):
         consequence = (
@@ -335,9 +348,14 @@ def find_correlated_beams(
 def measure_outline_errors(solved: NetworkEquations, background: Array, correlation: Array) -> Array:
     """(S,) standard deviations of what adjacent beams on a body have in common and walls do not show, m.
 
-    Noise that walls have as well, (S,), is that of the scanner: the model error and the scatter of parts contain
-    its correlation (NEES of 0.3 to 0.7 with 0.5 to 0.9). The rest is an error of the modelled outline: it may be
-    the same in all scans, so that no test by parts shows it.
+    Noise that walls have as well is that of the scanner: the model error and the scatter of parts contain its
+    correlation (NEES of 0.3 to 0.7 with 0.5 to 0.9). The rest is an error of the modelled outline: it may be the
+    same in all scans, so that no test by parts shows it.
+
+    Args:
+        solved: the joint solution.
+        background: (S,) noise of each scanner's static background, m.
+        correlation: (S,) of :func:`correlate_adjacent_beams`.
     """
     excess = np.maximum(solved.network.range_sigma**2 - background**2, 0)
     return np.asarray(np.sqrt(np.where(correlation > _MAX_BEAM_CORRELATION, correlation * excess, 0)))

@@ -72,7 +72,11 @@ def find_network_remedies(
 ) -> tuple[Remedy, ...]:
     """Remedies of the scanners that are less certain than the tolerance, the cheapest that suffice first.
 
-    The joint solution has what was added to its covariance; poses (4, 4) are of its scanners, the root's first.
+    Args:
+        rig: its tolerance, and the uncertainties that it states.
+        joint: the joint solution, with what was added to its covariance.
+        names: of its scanners, the root first.
+        T_root_sensor: poses (4, 4) of the same.
     """
     if joint.solved is None or not joint.solved.network.bodies or len(names) > _MAX_SCANNERS:
         return ()

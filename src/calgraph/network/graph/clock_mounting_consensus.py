@@ -48,8 +48,11 @@ def resolve_clocks(node: Mapping[str, int], hypotheses: Sequence[ClockMountingHy
 
     Each edge of the maximum spanning tree by evidence defines a fundamental cut. If its clocks differ, more pairs
     across the cut have to agree with the offset than not; a pair alone has to be firm, with clearly more evidence
-    than for any other offset. Hypotheses that are not confirmed are left out, until all are. They are those of the
-    selected mountings, with more evidence than chance; node 0 is the reference.
+    than for any other offset. Hypotheses that are not confirmed are left out, until all are.
+
+    Args:
+        node: index of each scanner, of which 0 is the reference.
+        hypotheses: of pairs with the selected mountings, with more evidence than chance.
     """
     remaining, refused = list(hypotheses), list[ClockMountingHypothesis]()
     while True:
@@ -69,8 +72,11 @@ def resolve_clocks(node: Mapping[str, int], hypotheses: Sequence[ClockMountingHy
 def average_clocks(names: Sequence[str], hypotheses: Sequence[ClockMountingHypothesis]) -> Array:
     """(N, 2) clock offsets of connected scanners from the first one, and their standard deviations, s.
 
-    Of hypotheses of pairs that agree with the poses. NaN for the first one, whose clock is the reference, and for
-    those that no clock offset connects to it.
+    NaN for the first one, whose clock is the reference, and for those that no clock offset connects to it.
+
+    Args:
+        names: of the scanners.
+        hypotheses: of pairs that agree with the poses.
     """
     node = {name: k for k, name in enumerate(names)}
     used = _best_of_pairs([h for h in hypotheses if np.isfinite(h.clock_stddev)])

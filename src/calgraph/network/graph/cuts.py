@@ -66,7 +66,15 @@ class AveragedGraph:
 
 
 def find_chance_connections(averaged: AveragedGraph, by_chance: Flags) -> Flags:
-    """(E,) the edges by chance between parts of a network that no other inlier connects, of (E,) that may be."""
+    """Finds the edges by chance between parts of a network that no other inlier connects.
+
+    Args:
+        averaged: the network.
+        by_chance: (E,) edges whose matches may be by chance.
+
+    Returns:
+        (E,) mask.
+    """
     graph = averaged.graph
     part = label_parts(graph.count, graph.edges[averaged.solution.inliers & ~by_chance])
     i, j = graph.edges.T
@@ -96,7 +104,11 @@ def find_visibility_conflict(
 
     What one side detects within the open view of the other, some scanner of the other side should detect, too. A
     wrong edge contradicts the cuts of correct ones, too, where these have the scanners that it misplaces on one
-    side: the weakest is rejected first. Observations are of the scanners, node by node.
+    side: the weakest is rejected first.
+
+    Args:
+        averaged: the network.
+        observations: of its scanners, node by node.
     """
     detections = _compare_detections(observations, averaged.solution.T_root_node)
     conflicts: list[tuple[float, VisibilityConflict]] = []
@@ -114,7 +126,10 @@ def is_confirmed_by_visibility(
 ) -> bool:
     """Whether enough detections are expected between a part (N,) and the rest, and most of them were made.
 
-    Observations and poses (N, 3, 3) are of the scanners, node by node.
+    Args:
+        observations: of the scanners, node by node.
+        T_root_node: (N, 3, 3) their poses.
+        part: (N,) some of them.
     """
     detections = _compare_detections(observations, T_root_node)
     expected, missed = detections.count_across(part)
@@ -191,6 +206,10 @@ def find_conflicting_evidence(averaged: AveragedGraph, names: Sequence[str]) -> 
 
     Across a cut, the tree edge is the one of most evidence among the inliers. An outlier across the cut that has
     more evidence, and contradicts the poses, is a conflict of the part.
+
+    Args:
+        averaged: the network.
+        names: of its scanners.
     """
     graph, evidence, T_root_node = averaged.graph, averaged.evidence, averaged.solution.T_root_node
     conflicting = ~averaged.solution.inliers & _differ(graph, T_root_node, SAME_POSITION, SAME_ANGLE)

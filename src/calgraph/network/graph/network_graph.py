@@ -42,8 +42,13 @@ def average_network(
     """Poses of a network's scanners by :func:`average_poses`, and the graph with the estimated error floor.
 
     The model error of pairs shows in the residuals of their cycles. The floor estimated from these is added to all
-    edges, and the poses of the consensus are optimized once more; those of another averaging are taken as they
-    are. Weights (E,) of the edges, 0..1, are uniform if None.
+    edges, and the poses of the consensus are optimized once more.
+
+    Args:
+        graph: of :func:`build_network_graph`.
+        rng: source of the random trees of the consensus.
+        weights: (E,) of the edges, 0..1; uniform if None.
+        averaging: in place of the consensus; its poses are taken as they are.
     """
     initial = _add_error_floor(graph, 1.0)
     solution = averaging(initial, weights) if averaging else average_poses(initial, rng, weights)
@@ -101,6 +106,10 @@ def published_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]
     Agreeing positions times the share that agrees, as Quenzel et al. weight after Schenk et al., "Automatic
     calibration of a stationary network of laser range finders by matching movement trajectories", IROS 2012.
     Matching walls count as positions.
+
+    Args:
+        names: the scanners of the graph.
+        pairs: as given to :func:`build_network_graph`.
     """
     hypotheses = list_hypotheses(names, pairs)
     agreeing = np.array([h.observations * h.matched_share for h in hypotheses])
@@ -126,6 +135,10 @@ def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) ->
     """Weight of evidence (E,) of the edges of :func:`build_network_graph`.
 
     Matching walls add a constant: hardly any wrong pose aligns them.
+
+    Args:
+        names: the scanners of the graph.
+        pairs: as given to :func:`build_network_graph`.
     """
     return np.array(
         [h.weight_of_evidence() + _WALL_EVIDENCE * h.uses_background for h in list_hypotheses(names, pairs)]

@@ -80,11 +80,15 @@ class Contributions:
         return total
 
     def test_difference(self, first: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """Score and information of a difference between two halves of the parts, of which (C,) are the first.
+        """Score and information of a difference between two halves of the parts.
 
-        The gradient (n,) by the second half's unknowns minus the first's, their mean being that of the solution;
-        the covariance (n, n) of the gradient; and what its standard deviations (n,) would be if the mean was
-        given. Where only one half has data, there is no covariance but rounding errors of these.
+        Args:
+            first: (C,) whether a part is in the first half.
+
+        Returns:
+            The gradient (n,) by the second half's unknowns minus the first's, their mean being that of the
+            solution; the covariance (n, n) of the gradient; and what its standard deviations (n,) would be if the
+            mean was given. Where only one half has data, there is no covariance but rounding errors of these.
         """
         weight = np.where(first, -0.5, 0.5)
         total, difference = self.sum_information(np.ones(len(weight))), self.sum_information(weight)
@@ -136,7 +140,11 @@ class NetworkContributions:
         return information
 
     def group_scanners(self, max_scanners: int) -> list[Index]:
-        """Groups of scanners near each other, up to a number, of which any measured a body that several did."""
+        """Scanners near each other, of which any measured a body that several scanners did.
+
+        Args:
+            max_scanners: in a group; a network of as many is one group.
+        """
         position, measured = self.prior.order.position, np.zeros(len(self.prior.order.position), dtype=np.bool_)
         for columns in self.columns:
             measured[columns // SCANNER_UNKNOWNS] = True

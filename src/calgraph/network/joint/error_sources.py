@@ -53,8 +53,12 @@ def compute_error_budget(
 ) -> ErrorBudget | None:
     """What the covariance of the poses comes from; None where only the result of a solution is given.
 
-    Covariances between scanners are those of networks that state all of them. The joint solution has what was
-    added to its covariance; poses are (4, 4).
+    Covariances between scanners are those of networks that state all of them.
+
+    Args:
+        joint: the joint solution, with what was added to its covariance.
+        names: of its scanners, the root first.
+        T_root_sensor: poses (4, 4) of the same.
     """
     if joint.solved is None:
         return None
@@ -78,6 +82,10 @@ def split_covariance(equations: NetworkEquations, names: Sequence[str]) -> dict[
     """The covariances of the poses in the root's fixed axes, by source.
 
     Of all pairs of scanners in small networks; in large ones, of each scanner with itself.
+
+    Args:
+        equations: at the solution.
+        names: of its scanners.
     """
     count, H = equations.network.count, equations.eliminate_bodies()[0]
     of = names if count <= _MAX_SEPARATE else [""] * count
@@ -109,8 +117,11 @@ def _list_factors(
 ) -> Iterator[tuple[ErrorSource, Array, Array]]:
     """Pairs of matrices (m, n) whose products add up to the covariance (n, n) by each source.
 
-    Of n components of poses with derivatives (US, n) by the gradient of the scanners; sources are of what is named
-    for each scanner, those of other information than priors given.
+    Args:
+        equations: at the solution.
+        of: what the sources of each scanner are of.
+        information: of other sources than the priors of scanners.
+        by_gradient: (US, n) derivatives of n components of poses by the gradient of the scanners.
     """
     for source, of_source in information.items():
         yield source, by_gradient, of_source.multiply(by_gradient)

@@ -59,7 +59,12 @@ _ACCELERATION_DENSITY_RANGE = (10.0, 100.0)
 
 
 def estimate_noise(equations: NetworkEquations, background: Array) -> LegNoise:
-    """Estimates all variances from a solution of legs, with (S,) the noise of each scanner's background, m."""
+    """Estimates all variances from a solution of legs.
+
+    Args:
+        equations: of the solution.
+        background: (S,) noise of each scanner's background, m.
+    """
     return LegNoise(
         _estimate_range_noise(equations, background),
         _estimate_bias_variance(equations),
@@ -430,10 +435,15 @@ _HEADING_SIGMA = 0.2
 
 
 def predict_headings(positions: Array, step: float) -> tuple[Array, Array]:
-    """The direction of a path over a stride at its control points (K, 2), m, a step apart, s.
+    """The direction of a path over a stride at its control points.
 
-    Headings (K,), rad, and their information (K,), 1/rad²: zero where the person stands. The information of a
-    quarter of a stride is that of one heading.
+    Args:
+        positions: (K, 2) control points, m.
+        step: time between two of them, s.
+
+    Returns:
+        Headings (K,), rad, and their information (K,), 1/rad²: zero where the person stands. The information of a
+        quarter of a stride is that of one heading.
     """
     half = max(round(_STRIDE_DURATION / 2 / step), 1)
     index = np.arange(len(positions))

@@ -67,9 +67,15 @@ _MIN_MATCHES = 8
 
 
 def track_legs(clusters: Sequence[LegClusters], T_root_scanner: Array, clock_offset: Array) -> list[LegTrack]:
-    """The legs that moved, in order of time, tracked over all scanners.
+    """Tracks legs over all scanners.
 
-    Poses (S, 3, 3) and clocks minus the root clock (S,), s, are approximate.
+    Args:
+        clusters: by scanner.
+        T_root_scanner: (S, 3, 3) approximate poses.
+        clock_offset: (S,) approximate scanner clocks minus the root clock, s.
+
+    Returns:
+        The legs that moved, in order of time.
     """
     positions = np.concatenate(
         [se2.apply(T, one.centers) for T, one in zip(T_root_scanner, clusters, strict=True)]

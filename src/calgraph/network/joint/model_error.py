@@ -61,10 +61,14 @@ _MAX_BEAMS = 500_000
 def estimate_model_error(network: NetworkProblem, state: NetworkState, batches: BodyBatches) -> Array:
     """(2,) variances of position (m²) and heading (rad²) that explain the discrepancies between scanners.
 
-    Each is found as the root of an equation, given the other, at a state near its minimum. Multiplying it
-    repeatedly by the ratio of observed to expected discrepancy has the same fixed point, but converges slowly
-    where the model error is small beside the noise of a scan. Where no two scanners measure a body within one
-    stride, a variance keeps its value.
+    Each is found as the root of an equation, given the other. Multiplying it repeatedly by the ratio of observed
+    to expected discrepancy has the same fixed point, but converges slowly where the model error is small beside
+    the noise of a scan. Where no two scanners measure a body within one stride, a variance keeps its value.
+
+    Args:
+        network: the problem.
+        state: near its minimum.
+        batches: the bodies.
     """
     beams = int(network.count_beams().sum())
     batches = batches.thin(1 + beams // _MAX_BEAMS)

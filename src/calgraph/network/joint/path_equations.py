@@ -27,7 +27,10 @@ _EARLIER, _LATER = np.triu_indices(4)
 def add_scans(equations: BodyEquations, terms: Iterable[ScanTerms], first_control: int = 0) -> float:
     """Adds the terms of scans of each scanner to the equations of a body, in place; returns their cost.
 
-    The equations may be of a part of its path, which begins at some control point.
+    Args:
+        equations: of the body, or of a part of its path.
+        terms: one for each scanner at most.
+        first_control: the control point at which the part begins.
     """
     band, gradient, border = equations.band, equations.gradient, equations.border
     corner, corner_gradient, shapes, cost = equations.corner, equations.corner_gradient, equations.shape_count, 0.0

@@ -35,8 +35,13 @@ def estimate_range_noise(
 ) -> Array:
     """(S,) noise of ranges, m: median absolute residual at bodies, corrected for the leverage of the beams.
 
-    It is within bounds about the noise of the background (S,), m, which scanners with few beams on bodies have.
-    Weights, state and equations are of the last solution.
+    It is within bounds about the background's noise.
+
+    Args:
+        network: with the weights of its last solution.
+        state: of that solution.
+        equations: of that solution.
+        background: (S,) noise of each scanner's background, m; used for scanners with few beams on bodies.
     """
     loss = TukeyLoss(TUKEY_LIMIT)
     residuals: list[list[Array]] = [[] for _ in background]

@@ -69,9 +69,13 @@ class ScanTerms:
 
 
 def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:
-    """Sums the normal equations of beams over V scans, which begin at beams (V,).
+    """Sums the normal equations of beams over scans.
 
-    Residuals (N,) and derivatives (P, N) are whitened; weights are (N,).
+    Args:
+        residual: (N,) whitened.
+        jacobian: (P, N) whitened.
+        weight: (N,).
+        first_beam: (V,) the first beam of each scan.
     """
     rows = np.concatenate([jacobian, residual[None]])
     weighted = weight * rows
@@ -143,10 +147,12 @@ class TukeyLoss:
         return effect - self._expected_squared_score / self._expected_score_derivative**2 / 2
 
     def compute_weights(self, residual: Array, used: NDArray[np.bool_], near_side_factor: float = 1.0) -> Array:
-        """(N,) scaled weights, whose sum is the information of whitened residuals (N,).
+        """(N,) scaled weights, whose sum is the information of the residuals.
 
-        Some (N,) have no weight at all. The limit is lower by a factor for positive residuals, of beams that end
-        in front of the outline.
+        Args:
+            residual: (N,) whitened, positive for beams that end in front of the outline.
+            used: (N,) whether a residual has a weight at all.
+            near_side_factor: by how much the limit is lower for positive residuals.
         """
         ratio = np.where(residual > 0, residual * near_side_factor, residual) / self.limit
         return np.asarray(self._scale * used * np.maximum(1 - ratio**2, 0) ** 2)

@@ -121,8 +121,11 @@ def compute_prior_covariance(sigma: Array) -> Array:
 def compute_prior_information(sigma: Array) -> tuple[Array, Array]:
     """The inverse of :func:`compute_prior_covariance` as ``D - V Vᵀ`` (Sherman and Morrison, 1950).
 
-    Of standard deviations (S, E): the diagonal D (S, E), 0 for what is exact, and V (S, E, r) by what r kinds of
-    errors have in common.
+    Args:
+        sigma: (S, E) standard deviations; the information of what is exact is 0.
+
+    Returns:
+        The diagonal D (S, E), and V (S, E, r) by what r kinds of errors have in common.
     """
     own = np.where(np.arange(sigma.shape[1]) < _COMMON_ERRORS, 1 - COMMON_ERROR_SHARE, 1.0)
     exact = sigma == 0
@@ -139,9 +142,13 @@ def compute_prior_information(sigma: Array) -> tuple[Array, Array]:
 def split_by_priors(sigma: Array, errors: Array) -> tuple[Array, Array]:
     """Systematic errors in independent parts that are standard normal by :func:`compute_prior_covariance`.
 
-    Of m times those (S, E, m) of S scanners, with standard deviations (S, E): the part of each scanner (S, E, m),
-    0 of what is exact, given the most likely part that all have in common (r, m). The sum of their squares is that
-    of the errors by :func:`compute_prior_information`.
+    Args:
+        sigma: (S, E) standard deviations; what is exact has no part.
+        errors: (S, E, m) m times those of S scanners.
+
+    Returns:
+        The part of each scanner (S, E, m), given the most likely part that all have in common (r, m). The sum of
+        their squares is that of the errors by :func:`compute_prior_information`.
     """
     estimated = sigma[..., None] > 0
     share = np.where(np.arange(sigma.shape[1]) < _COMMON_ERRORS, COMMON_ERROR_SHARE, 0.0)[:, None]
@@ -158,16 +165,24 @@ def compute_root_times(network: NetworkProblem, state: NetworkState, scans: Body
 
 
 def compute_mean_stretch(systematic: Array) -> tuple[Array, Array]:
-    """By how much tilts make ranges longer on average (...), and the derivatives (..., 2) by both stretches."""
+    """By how much tilts make ranges longer on average (...), and its derivatives (..., 2) by both stretches.
+
+    Args:
+        systematic: (..., E or less) ``SYSTEMATIC_ERRORS``.
+    """
     stretches = systematic[..., STRETCH_X : STRETCH_DIAGONAL + 1]
     mean = np.sqrt(np.sum(stretches**2, axis=-1) + _MIN_STRETCH**2)
     return np.asarray(mean - _MIN_STRETCH), np.asarray(stretches / mean[..., None])
 
 
 def linearize_beam_errors(systematic: Array) -> tuple[Array, Array]:
-    """The ``BEAM_ERRORS`` (..., 5) of scanners (..., E), and their derivatives (..., 5, 5) by these.
+    """The ``BEAM_ERRORS`` (..., 5) with the mean stretch as a part of the range scale, and its derivatives.
 
-    The mean stretch is a part of the range scale.
+    Args:
+        systematic: (..., E) of scanners.
+
+    Returns:
+        The errors, and their derivatives (..., 5, 5) by the ``BEAM_ERRORS``.
     """
     errors = systematic[..., : len(BEAM_ERRORS)].copy()
     mean, by_stretches = compute_mean_stretch(systematic)
@@ -208,8 +223,11 @@ def compute_turns(systematic: Array, azimuth: Array, double_azimuth: Array) -> A
 def differentiate_by_azimuth_errors(systematic: Array, scans: BodyScans, ranges: Array, by_turn: Array) -> Array:
     """(3, N) derivatives of measured ranges by the angle scale and the stretches.
 
-    Of the systematic errors (E,) of the scanner, true ranges (N,), m, and derivatives (N,) of measured ranges by
-    the turn of a beam, m/rad.
+    Args:
+        systematic: (E,) of the scanner.
+        scans: N beams.
+        ranges: (N,) true ones, m.
+        by_turn: (N,) derivatives of measured ranges by the turn of a beam, m/rad.
     """
     cos, sin = scans.double_azimuth
     _, (by_x, by_diagonal) = compute_mean_stretch(systematic)

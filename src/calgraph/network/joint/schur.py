@@ -49,8 +49,9 @@ class BodyEquations:
     def follow(self, substitution: Array) -> tuple[Array, Array]:
         """Information (UL, UL) and gradient (UL,) of the scanners where path and shape follow them.
 
-        With S (3K + B, UL), a step of the scanners is followed by ``-S @ step``. With that of these equations the
-        result is the Schur complement.
+        Args:
+            substitution: S (3K + B, UL): a step of the scanners is followed by ``-S @ step``. With that of these
+                equations the result is the Schur complement.
         """
         B, size = self.shape_count, 3 * len(self.band)
         border = np.concatenate([self.border[:, :, B:].reshape(size, -1), self.corner[:B, B:]])
@@ -90,7 +91,9 @@ class BodyEquations:
 def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Array]:
     """Schur complement of a body's path and shape: matrix (UL, UL) and gradient (UL,) of the scanners.
 
-    The diagonal is multiplied by one plus Levenberg–Marquardt's damping.
+    Args:
+        equations: of the body.
+        damping: Levenberg–Marquardt's; the diagonal is multiplied by one plus this.
     """
     B = equations.shape_count
     factor = cholesky_banded(pack_lower_band(equations.band, damping), lower=True)
@@ -180,8 +183,11 @@ def pack_lower_band(band: Array, damping: float = 0.0) -> Array:
 def compute_path_covariance(band: Array) -> Array:
     """(K, 4, 3, 3) covariances of each control point with itself and the three after it; zero beyond the last.
 
-    The band is that of :class:`BodyEquations`. In groups of three control points, the matrix is block tridiagonal.
-    The band of its inverse follows backwards from the band alone (Takahashi, Fagan and Chen, 1973).
+    In groups of three control points, the matrix is block tridiagonal. The band of its inverse follows backwards
+    from the band alone (Takahashi, Fagan and Chen, 1973).
+
+    Args:
+        band: (K, 4, 3, 3) as in :class:`BodyEquations`.
     """
     count, groups = len(band), -(-len(band) // 3)
     padded = np.zeros((3 * groups, 4, 3, 3))

@@ -37,9 +37,12 @@ class _Likelihood:
     """(N, N) largest prior covariance; errors of different kinds are independent."""
 
     def log_evidence(self, share: Array, varied: int, trials: Array) -> Array:
-        """(n,) logarithm of the probability of the data for trials (n,) of the share of a kind, up to a constant.
+        """(n,) logarithm of the probability of the data for trials of the share of one kind, up to a constant.
 
-        Shares (E,) are of the standard deviation of each kind in the largest one.
+        Args:
+            share: (E,) of the standard deviation of each kind in the largest one.
+            varied: the kind whose share has other values.
+            trials: (n,) these.
         """
         own, others = np.flatnonzero(self.kind == varied), np.flatnonzero(self.kind != varied)
         scale = share[self.kind[others]]
@@ -65,9 +68,12 @@ _MIN_SYSTEMATIC_SHARE = 1 / 64
 def estimate_systematic_sigma(
     equations: NetworkEquations, prior_sigma: Array, engine: MapEngine = THIS_PROCESS
 ) -> Array:
-    """(S, E) standard deviations of systematic errors, from the posterior of their share, near the minimum.
+    """(S, E) standard deviations of systematic errors, from the posterior of their share.
 
-    The largest ones (S, E) are 0 for what is exact.
+    Args:
+        equations: near the minimum.
+        prior_sigma: (S, E) the largest standard deviations; 0 for what is exact.
+        engine: evaluates groups of scanners.
     """
     octaves = -np.log2(_MIN_SYSTEMATIC_SHARE)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))

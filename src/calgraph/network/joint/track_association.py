@@ -51,7 +51,15 @@ _MIN_DURATION = 1.0
 
 
 def group_tracks_by_body(tracked: Sequence[ScannerTracks], T_root_scanner: Array) -> list[BodyTracks]:
-    """The bodies that at least two scanners tracked, in order of time, under approximate poses (S, 3, 3)."""
+    """Groups the tracks of all scanners by body.
+
+    Args:
+        tracked: by scanner.
+        T_root_scanner: (S, 3, 3) approximate poses.
+
+    Returns:
+        Bodies that at least two scanners tracked, in order of time.
+    """
     sampled = [
         _sample_track(scanner, track, T_root_scanner[scanner])
         for scanner, found in enumerate(tracked)

@@ -18,7 +18,12 @@ Ends = tuple[int, int]
 
 
 def select_similar_pairs(similarity: Array, partners: int) -> set[Ends]:
-    """Pairs of each scanner with a number of partners of the most similar tracks (N, N), who may select others."""
+    """Pairs of each scanner with those of the most similar tracks.
+
+    Args:
+        similarity: (N, N) from :func:`calgraph.network.pairs.track_similarity.compute_track_similarity`.
+        partners: number of pairs of each scanner; it may be in more pairs that others select.
+    """
     others = ~np.eye(len(similarity), dtype=np.bool_)
     ranked = _rank_partners(similarity, partners, others)
     return {(min(a, b), max(a, b)) for a, of_a in enumerate(ranked) for b in of_a}
@@ -32,8 +37,11 @@ def select_implied_pairs(
 ) -> set[Ends]:
     """Pairs that tracked the same people under the pose that their pairs with a third scanner imply.
 
-    Of ``T_a_b`` (3, 3) of all pairs with a pose, only those registered since the last selection imply poses that
-    were not tested before. Pairs that were tried, with or without a pose, are left out.
+    Args:
+        samples: of each scanner.
+        poses: ``T_a_b`` (3, 3) of all pairs with a pose.
+        registered: those of them since the last selection: only they imply poses that were not tested before.
+        tried: pairs that were registered, with or without a pose.
     """
     neighbours: dict[int, dict[int, Array]] = {}
     for (a, b), T_a_b in poses.items():

@@ -113,7 +113,10 @@ def compute_chance_evidence(scanners: int) -> float:
     """Weight of evidence that hardly any two scanners of a network reach by matching different people.
 
     The number of pairs that match different people decreases exponentially with their evidence, and increases with
-    the number of pairs that are compared, all of a number of scanners.
+    the number of pairs that are compared.
+
+    Args:
+        scanners: of the network, all pairs of which were compared.
     """
     expected = _RATE * scanners * (scanners - 1) / 2
     excess = _EVIDENCE_SCALE * float(np.log(max(expected / _MAX_EXPECTED, 1.0)))

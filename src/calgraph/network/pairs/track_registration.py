@@ -71,8 +71,14 @@ def register_tracks(
 ) -> TrackRegistration | None:
     """Fits pose, clock offset and depths to the matches of simultaneous pairs, with new matches at every step.
 
-    From an initial pose (3, 3) and standard deviation of the distance between both scanners' centres of one
-    object, m. None if there are too few matches.
+    Args:
+        T_a_b: (3, 3) initial pose.
+        pairs: all simultaneous pairs.
+        model_error: initial standard deviation of the distance between both scanners' centres of one object, m.
+        prior: of clock offset and depths.
+
+    Returns:
+        The registration, or None if there are too few matches.
     """
     nuisance = np.zeros(3)
     for _ in range(_STEPS):

@@ -96,7 +96,12 @@ _MIN_DETECTIONS = 3
 
 
 def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> VisibilityMap:
-    """The map: free space before the background up to the usual detection range, and cells with detections."""
+    """Builds the map: free space before the background up to the usual detection range, and cells with detections.
+
+    Args:
+        tracked: tracks and background of the scanner.
+        samples: the resampled tracks.
+    """
     ranges = np.linalg.norm(samples.positions, axis=1)
     max_range = float(np.quantile(ranges, 1 - RANGE_TAIL)) if len(ranges) else 0.0
     half = int(np.ceil(max_range / _CELL_SIZE)) + 1
@@ -120,10 +125,16 @@ def _sampled_interval(samples: TrackSamples) -> Array:
 
 
 def is_free_space(background: Array, x: Array, margin: float, max_beam_gap: float) -> Flags:
-    """(M,) whether a scanner measures background farther than points (M, 2) of its frame, m, by a margin, m.
+    """Tests whether a scanner measures background farther than points of its frame.
 
-    Static points are (N, 2), m; NaN rows are breaks. Between two whose angle is larger than the gap, rad, nothing
-    is free.
+    Args:
+        background: (N, 2) its static points, m; NaN rows are breaks.
+        x: (M, 2) points, m.
+        margin: least distance of the background behind a point, m.
+        max_beam_gap: largest angle between two background points with free space between them, rad.
+
+    Returns:
+        (M,) mask.
     """
     points = background[np.isfinite(background).all(axis=1)]
     if len(points) < 2:

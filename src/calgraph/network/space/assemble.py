@@ -230,7 +230,10 @@ def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array, Array]:
 def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
     """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s.
 
-    From that of free states (P, P), and the pose (4, 4) of their world in the frame of the root.
+    Args:
+        solution: of the sensors.
+        covariance: (P, P) of their free states.
+        T_root_world: (4, 4) its world in the frame of the root.
     """
     S, whole = len(solution.states), expand_covariance(covariance, solution.free)
     numbers = np.arange(solution.free.size).reshape(S, -1)

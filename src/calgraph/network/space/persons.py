@@ -107,7 +107,10 @@ def derive_places(samples: BodySamples, states: Sequence[SensorState], places: A
 def find_persons(samples: BodySamples, states: Sequence[SensorState], gate: float) -> list[BodySamples]:
     """The samples of each person whom two sensors and more measured, in order of time.
 
-    Two tracks of one person have a median distance of a gate at most, m.
+    Args:
+        samples: of all sensors.
+        states: of these.
+        gate: median distance of two tracks of one person at most, m.
     """
     if not len(samples.time):
         return []

@@ -33,9 +33,12 @@ _RADIAL, _TANGENTIAL = 0.04, 0.03
 
 
 def observe_scanner(tracked: ScannerTracks, spec: Lidar2dSpec, inverted: bool) -> SpaceObservations:
-    """What a 2-D scanner measured, in its own frame and by its clock, as of a level sensor.
+    """What a 2-D scanner measured, as of a level sensor.
 
-    Its rig.yaml states height and tilt; it may be mounted upside-down.
+    Args:
+        tracked: in its own frame, and by its clock.
+        spec: of the scanner, with what is stated of its height and tilt.
+        inverted: whether it is mounted upside-down.
     """
     known = np.isfinite(tracked.background).all(axis=1)
     points = np.pad(tracked.background[known], ((0, 0), (0, 1)))

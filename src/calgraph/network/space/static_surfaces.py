@@ -61,10 +61,15 @@ def map_points(points: Array, state: SensorState, flat: bool) -> Array:
 def find_shared_surfaces(
     points: Sequence[Array], states: Sequence[SensorState], gate: float, flat: NDArray[np.bool_]
 ) -> SharedSurfaces:
-    """The planes at the present states, with the points near them, up to a gate, m.
+    """The planes at the present states, with the points near them.
 
-    A cell is flat if the points of each sensor are. Of thin walls, the side that most points are of counts. Points
-    (N, 3) are in the frames of sensors, m; (S,) of these are 2-D scanners.
+    A cell is flat if the points of each sensor are. Of thin walls, the side that most points are of counts.
+
+    Args:
+        points: (N, 3) of each sensor, in its frame, m.
+        states: of the sensors.
+        gate: distance from a plane up to which points are on it, m.
+        flat: (S,) which sensors are 2-D scanners.
     """
     repeats = np.where(flat, len(_WALL_HEIGHTS), 1)
     sensor = np.repeat(np.arange(len(points)), repeats * [len(one) for one in points])
@@ -133,8 +138,12 @@ def compare_walls(
     """(S, S) number of walls on which the maps of two sensors agree, less those on which they do not; and balance.
 
     The balance is that over the number of both, from -1 to 1. Walls count by the squares of their level normals:
-    floors agree wherever a sensor is. Points (N, 3) are in the frames of sensors, m; (S,) of these are 2-D
-    scanners.
+    floors agree wherever a sensor is.
+
+    Args:
+        points: (N, 3) of each sensor, in its frame, m.
+        states: of the sensors.
+        flat: (S,) which sensors are 2-D scanners.
     """
     world = [map_points(*one) for one in zip(points, states, flat.tolist(), strict=True)]
     compared = compare_maps([(one, np.zeros(len(one), dtype=np.intp)) for one in world])

@@ -42,12 +42,19 @@ _MIN_MATCHES = 5
 
 
 def associate(objects: Clusters, center_sigma: float, acceleration_density: float) -> list[NDArray[np.intp]]:
-    """Associates objects over all scans by their centroids (global nearest neighbour): clusters of every identity.
+    """Associates objects over all scans by their centroids (global nearest neighbour).
 
     In every scan the predicted identities and the objects are matched one to one, at the least total cost. An
     identity without a match coasts on its velocity, so that it finds the same object again after a crossing; an
-    object without a match starts a new identity. Clusters are in order of time. Centroids have a standard
-    deviation about the object's centre, m; accelerations have a spectral density, m²/s³.
+    object without a match starts a new identity.
+
+    Args:
+        objects: of all scans.
+        center_sigma: standard deviation of a centroid about the object's centre, m.
+        acceleration_density: spectral density of the acceleration, m²/s³.
+
+    Returns:
+        For every identity its clusters, in order of time.
     """
     centroids = objects.centroids
     R = center_sigma**2 * np.eye(2)

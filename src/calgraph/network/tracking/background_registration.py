@@ -100,10 +100,15 @@ def to_points(angles: Array, ranges: Array) -> Array:
 
 
 def register_windows(reference: ReferenceScan, ranges: Array, noise: float) -> WindowPoses:
-    """Registers windows (W, B) of ranges of the same beams, m, to a reference; the noise is of a range, m.
+    """Registers windows to a reference.
 
     Windows that agree without any motion need a few steps only; those that do not agree after all steps start
     again from the best rotation.
+
+    Args:
+        reference: the reference.
+        ranges: (W, B) m, of the same beams, of one window at least.
+        noise: standard deviation of the ranges, m.
     """
     parts = range(0, len(ranges), _WINDOWS_PER_CALL)
     found = [_register_part(reference, ranges[k : k + _WINDOWS_PER_CALL], noise) for k in parts]

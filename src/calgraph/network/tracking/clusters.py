@@ -134,9 +134,16 @@ _MAX_MERGED_SIGMAS = 2.0
 
 
 def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: ClusterSettings) -> Clusters:
-    """The objects of at least two beams in foreground beams that are not clearly wider than the target, m.
+    """Groups foreground beams to objects.
 
-    The noise of a range is sigma, m.
+    Args:
+        beams: foreground of all scans.
+        width: largest width of the target, m.
+        sigma: noise of a range, m.
+        settings: of the clusters.
+
+    Returns:
+        Objects of at least two beams that are not clearly wider than the target.
     """
     # Of some scans at a time: what is calculated on the way takes more memory than the objects.
     cuts = np.searchsorted(beams.scan, np.arange(SCANS_PER_CALL, len(beams.spacing), SCANS_PER_CALL))

@@ -288,7 +288,13 @@ _LATERAL_SIGMA = 0.1
 
 
 def measure_centroids(objects: Clusters, target: People | Cylinder, sigma: float) -> MeasuredCenters:
-    """Centroids of objects, whose offset from the centres is a bias; sigma is the noise of a point, m."""
+    """Centroids of the objects' points, whose offset from the centres is a bias.
+
+    Args:
+        objects: whose centres are measured.
+        target: what they are.
+        sigma: noise of a point, m.
+    """
     radius = float(np.mean(target_radii(target)))
     bias = radial_covariances(
         objects.centroids, np.full(len(objects), (DEPTH * radius) ** 2), lateral_sigma(objects, radius) ** 2
@@ -325,7 +331,11 @@ def measure_fixed_ellipses(
 ) -> MeasuredCenters:
     """Centres of ellipses with the target's radii, fitted to the objects' points.
 
-    People's shoulders are across their walk; sigma is the noise of a point, m.
+    Args:
+        objects: whose centres are measured.
+        target: what they are.
+        velocities: of the objects; people's shoulders are across their walk.
+        sigma: noise of a point, m.
     """
     radii = target_radii(target)
     radius_error = 0.0 if isinstance(target, Cylinder) else _PEOPLE_RADIUS_ERROR

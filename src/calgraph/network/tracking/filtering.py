@@ -48,7 +48,12 @@ class Transition:
 
 
 def constant_velocity(dt: Array, acceleration_density: float) -> Transition:
-    """Transition over times (...,), s, at constant velocity with white acceleration of a density, m²/s³."""
+    """Transition at constant velocity with white acceleration.
+
+    Args:
+        dt: (...,) time passed, s.
+        acceleration_density: spectral density of the acceleration, m²/s³.
+    """
     F = np.zeros((*dt.shape, 4, 4))
     F[..., range(4), range(4)] = 1.0
     F[..., [0, 1], [2, 3]] = dt[..., None]

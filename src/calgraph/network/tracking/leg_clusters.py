@@ -60,7 +60,12 @@ _MIN_WIDTH = 0.03
 
 
 def cluster_legs(beams: Foreground, sigma: float) -> LegClusters:
-    """Finds arcs of the size of a leg in the foreground of a scanner; sigma is the noise of a range, m."""
+    """Finds arcs of the size of a leg.
+
+    Args:
+        beams: foreground of all scans of a scanner.
+        sigma: noise of a range, m.
+    """
     arcs = _split_arcs(beams, sigma)
     centroid = np.add.reduceat(arcs.points, arcs.first) / arcs.count[:, None]
     distance = np.linalg.norm(centroid, axis=1, keepdims=True)

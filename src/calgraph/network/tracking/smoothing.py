@@ -35,9 +35,16 @@ class SmoothedSegment:
 def smooth_segments(
     segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, settings: TrackingSettings
 ) -> tuple[SmoothedSegment, ...]:
-    """Smooths each segment of clusters, whose times (C,) and centres (C,) are given, separately.
+    """Smooths each segment separately.
 
-    Missing centres, and those outside the gate, are left out. A segment is empty where nothing was measured.
+    Args:
+        segments: the clusters of each.
+        times: (C,) of the clusters, s.
+        measured: (C,) their centres; missing ones, and those outside the gate, are left out.
+        settings: of tracking.
+
+    Returns:
+        One for each segment, in their order; empty where nothing was measured.
     """
     valid = np.asarray(np.isfinite(measured.positions).all(axis=1))
     kept = [_sort_by_time(members[valid[members]], times) for members in segments]

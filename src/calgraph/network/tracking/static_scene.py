@@ -41,9 +41,13 @@ _MARGIN_SIGMAS = 5.0
 
 
 def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
-    """The static background of a whole recording of one scanner; None if no scan has any beam.
+    """Learns the static background from a whole recording.
 
-    Scans with other beams are matched by angle.
+    Args:
+        runs: the scans of one stationary scanner; those with other beams are matched by angle.
+
+    Returns:
+        The scene, or None if no scan has any beam.
     """
     kept = _subsample_evenly(runs)
     if not kept:

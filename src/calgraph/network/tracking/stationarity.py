@@ -47,7 +47,11 @@ class ScanWindows:
 
 
 class AlignedScans:
-    """All scans of a scanner with common beams, read in parts to bound memory; of one run with beams at least."""
+    """All scans of a scanner with common beams, read in parts to bound memory.
+
+    Args:
+        runs: at least one, with beams.
+    """
 
     def __init__(self, runs: Sequence[ScanRun]) -> None:
         self._runs = runs
@@ -183,8 +187,12 @@ def select_interval(
 ) -> tuple[float, float]:
     """The stamps (s) between which a scanner is calibrated: after its last bump, if these data are long enough.
 
-    Otherwise the longest interval between bumps, which are in order of time; without bumps all times. The stamps
-    of the first and the last scan are given.
+    Otherwise the longest interval between bumps. Without bumps all times.
+
+    Args:
+        stamps: of the first and the last scan, s.
+        bumps: in order of time.
+        settings: the shortest time that is long enough.
     """
     if not bumps:
         return -np.inf, np.inf

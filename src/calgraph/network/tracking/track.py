@@ -118,8 +118,12 @@ def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverte
     """The same tracks with times of another clock, and in the frame of a scanner mounted the other way up.
 
     A scanner that is mounted upside-down observes the plane from below. The frame that is rotated by 180° about
-    its x axis has the same x and the opposite y and angles. Bumps keep the scanner's clock and frame. The offset
-    is the scanner's clock minus the other clock, s.
+    its x axis has the same x and the opposite y and angles. Bumps keep the scanner's clock and frame.
+
+    Args:
+        tracked: tracks, beams and background of a scanner.
+        clock_offset: the scanner's clock minus the other clock, s.
+        inverted: whether to mirror everything at the x axis.
     """
     if not clock_offset and not inverted:
         return tracked

@@ -49,8 +49,13 @@ def split_into_periods(
 ) -> tuple[TrackSegment, ...]:
     """Splits identities wherever the set of visible objects changes, or they are not detected themselves.
 
-    Of clusters in order of time, with scans (C,) and times (C,), s. The segments are by period, then in the order
-    of the identities; periods are numbered from 0.
+    Args:
+        identities: clusters of each, in order of time.
+        scan: (C,) the scan of each cluster.
+        times: (C,) s.
+
+    Returns:
+        The segments by period, then in the order of the identities; periods are numbered from 0.
     """
     intervals = [
         s
