@@ -70,7 +70,7 @@ def thin_sweep(sweep: Sweep, count: int, rng: np.random.Generator) -> Sweep:
 
 
 def join_sweeps(sweeps: Sequence[Sweep]) -> Sweep:
-    """The points of one sweep or more as one, without a time of its own."""
+    """The points of one sweep or more as one, without a common time."""
     points, times, timing = (
         np.concatenate([getattr(one, name) for one in sweeps]) for name in ("points", "times", "timing")
     )

@@ -19,7 +19,7 @@ with ``x̄`` the vehicle's front, and ``s`` the error of the wheels' radius.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -32,7 +32,18 @@ from calgraph.drive.measurements import DrivePart
 from calgraph.drive.points_on_surfaces import select_inside
 from calgraph.drive.segments import Segments
 from calgraph.errors import Rejected
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2, se3, se_n, so3
+from calgraph.geometry import (
+    STDDEV_PER_MAD,
+    Array,
+    Index,
+    join_rows,
+    measure_lengths,
+    se2,
+    se3,
+    se_n,
+    select_rows,
+    so3,
+)
 from calgraph.result import BaseFrame, Verdict
 from calgraph.surfaces.floor import axes_from, mean_rotations, measure_level
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, move_states
@@ -153,7 +164,7 @@ def locate_root(
     _, variance, wheel_error = fit_side(chords, pose)
     covariance[1, 1] += variance
     planar = adjusted.parts[0].points[0].points.shape[1] == 2
-    turned = [one.turned(pose) > _MIN_TURN for one in (chords, chords.select(chords.have_wheels))]
+    turned = [one.turned(pose) > _MIN_TURN for one in (chords, select_rows(chords, chords.have_wheels))]
     known = np.array([*turned, *[not planar] * 3, True])
     covariance[~known], covariance[:, ~known] = np.nan, np.nan
     return VehiclePose(se3.pose(pose[:3, :3], np.where(known[:3], pose[:3, 3], 0.0)), covariance, wheel_error)
@@ -211,7 +222,7 @@ def _measure_chords(
                 level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
         travelled = None if wheels is None else wheels.measure(times, states[wheels.number].clock_offset)
         found.append(join_chords(poses, level, places[1], travelled, k))
-    return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
+    return join_rows(found)
 
 
 def _select_located(adjusted: Adjustment, root: int) -> list[int]:
@@ -258,10 +269,6 @@ class Chords:
         """(C,) whether distances of the wheels are known."""
         return np.asarray(np.isfinite(self.travelled).all(axis=(1, 2)))
 
-    def select(self, index: NDArray[np.bool_]) -> "Chords":
-        """Some of them."""
-        return Chords(*(getattr(self, field.name)[index] for field in fields(self)))
-
     def turned(self, T_base_root: Array) -> float:
         """Sum of the turns about the vertical axis to either side, rad."""
         return float(np.abs(self.turn.sum(axis=1) @ T_base_root[2, :3]).sum())
@@ -297,7 +304,7 @@ def join_chords(poses: Array, level: Array, axle: Array, travelled: Array | None
 
 def scatter_of(chords: Chords, pose: Array) -> Array | Rejected:
     """Covariance (6, 6) of a pose: its scatter when intervals are left out (jackknife), and what slip changes."""
-    fitted = [fit_pose(chords.select(chords.block != one)) for one in np.unique(chords.block)]
+    fitted = [fit_pose(select_rows(chords, chords.block != one)) for one in np.unique(chords.block)]
     poses = [one for one in fitted if not isinstance(one, Rejected)]
     if len(poses) < max(_MIN_BLOCKS, len(fitted)):
         return Rejected("the drive is too short for the vehicle's frame: drive for a minute, with curves")
@@ -335,7 +342,7 @@ def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float, float]:
 
     0 without wheels.
     """
-    used = chords.select(chords.have_wheels)
+    used = select_rows(chords, chords.have_wheels)
     if not len(used.block):
         return 0.0, 0.0, 0.0
     ahead, up, height = T_base_root[0, :3], T_base_root[2, :3], T_base_root[2, 3]

@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se_n
-from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.planar_poses import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.person_batches import (
+from calgraph.network.space.person_paths import (
+    BodyNoise,
     LocalPerson,
     PeopleEquations,
+    PersonEquations,
     add_persons,
+    expect_shapes,
     reduce_persons,
     release_periods,
 )
-from calgraph.network.space.person_paths import BodyNoise, PersonEquations, expect_shapes
 from calgraph.network.space.persons import find_persons, gather_samples
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
@@ -74,7 +76,6 @@ class SpaceSolution:
     shared: SharedSurfaces
     noise: NoiseModel
     """Of static points."""
-    body_noise: BodyNoise
     body: Array
     """(6B,) means of the shapes of bodies."""
     agreement: Array
@@ -115,7 +116,8 @@ def solve_space(
     samples = gather_samples(observations)
     points = [thin_points(one.static.points, one.flat) for one in observations]
     noise = NoiseModel.at_start(len(states))
-    body_noise, body = _start_body_noise(int(flat.sum())), expected
+    views = [lidars if k == 0 else scanner for lidars, scanner in _START_VIEWS for k in range(1 + int(flat.sum()))]
+    body_noise, body = BodyNoise(np.ones(len(views)), np.array(views)), expected
     persons: list[LocalPerson] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
@@ -155,7 +157,7 @@ def solve_space(
         begin = float(ends[0] - PERIOD)
     return SpaceSolution(
         states, free, covariance, _condition_on_ranges(covariance, free),
-        persons, people, shared, noise, body_noise, body,
+        persons, people, shared, noise, body,
         agreement=agreement,
         balance=balance,
         changes=changes,
@@ -184,11 +186,6 @@ def _add_poses(
     rows = number_free(free)[earlier.nodes, :6].ravel()
     H[np.ix_(rows, rows)] += earlier.information
     g[rows] += earlier.information @ se_n.difference(T, earlier.T_root_scanner).ravel()
-
-
-def _start_body_noise(scanners: int) -> BodyNoise:
-    views = [lidars if k == 0 else scanner for lidars, scanner in _START_VIEWS for k in range(1 + scanners)]
-    return BodyNoise(np.ones(len(views)), np.array(views))
 
 
 def _estimate_body_noise(persons: Sequence[PersonEquations], noise: BodyNoise) -> BodyNoise:

@@ -11,8 +11,7 @@ from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_with_earlier
 from calgraph.network.checks.findings import collect_network_findings
-from calgraph.network.joint.planar_poses import NetworkPoses
-from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.planar_poses import NetworkPoses, ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.assemble import SpaceResult, assemble_space, express_in_root
 from calgraph.network.space.bodies import find_bodies
