@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
-from calgraph.drive.audit import compare_drive_extrinsics
 from calgraph.drive.options import DriveOptions
-from calgraph.drive.pipeline import calibrate_drive
+from calgraph.drive.pipeline import calibrate_drive, compare_drive_extrinsics
 from calgraph.geometry import se2, se3, so3
 from calgraph.recording import MessageRecording
 from calgraph.result import ExtrinsicsFile

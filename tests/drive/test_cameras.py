@@ -8,7 +8,7 @@ from calgraph.config import Rig
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_sources
 from calgraph.drive.sources.camera import CameraSource, find_boards, models_of
-from calgraph.drive.start_tree import choose_lead
+from calgraph.drive.start import choose_lead
 from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.parallel.engine import THIS_PROCESS

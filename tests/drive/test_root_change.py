@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from calgraph.drive.adjustment import Adjustment
-from calgraph.drive.root_change import change_root
+from calgraph.drive.adjustment import Adjustment, change_root
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 from calgraph.surfaces.surface_elimination import NoiseModel

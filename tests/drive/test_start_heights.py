@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
-from calgraph.drive.start_heights import add_heights, leave_open
+from calgraph.drive.start_places import add_heights, leave_open
 from calgraph.drive.stated_poses import StatedPose
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected

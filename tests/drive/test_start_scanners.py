@@ -8,7 +8,7 @@ from calgraph.drive.points_on_surfaces import associate_points
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.lidar import LidarSource
 from calgraph.drive.start import MotionStart
-from calgraph.drive.start_scanners import place_scanners
+from calgraph.drive.start_places import place_scanners
 from calgraph.drive.sweeps import Sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3

@@ -78,8 +78,8 @@ def compare(
         of_network = NetworkOptions(seed=seed, engine=engine, cache=cache)
         return *compare_network_extrinsics(rig, recording, given, of_network, progress), rig
     if rig.is_drive:
-        from calgraph.drive.audit import compare_drive_extrinsics
         from calgraph.drive.options import DriveOptions
+        from calgraph.drive.pipeline import compare_drive_extrinsics
 
         return *compare_drive_extrinsics(
             rig, recording, given, DriveOptions(seed=seed, engine=engine), progress

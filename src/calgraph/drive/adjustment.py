@@ -32,7 +32,7 @@ from calgraph.geometry import Array, Index, se_n
 from calgraph.solver.change_tests import PeriodEquations
 from calgraph.solver.clustered_covariance import ClusteredScores, label_rings, widen_covariance
 from calgraph.surfaces.map_agreement import measure_agreement
-from calgraph.surfaces.sensor_states import SensorState
+from calgraph.surfaces.sensor_states import SensorState, measure_deviations, move_states, number_free
 from calgraph.surfaces.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.surfaces.trajectory import SplineTrajectory
 from calgraph.verdict.state_changes import PERIOD, Change, find_changes
@@ -81,6 +81,13 @@ class Adjustment:
     """Of poses and clocks during the drive, by number of the sensors that were solved for."""
     responses: Sequence[Array] = ()
     """By part, (C', P) change of its unknowns, the control points first, with the free parameters."""
+
+    @property
+    def stddev(self) -> Array:
+        """(S, n + d + 6) of all parameters; 0 of those that are fixed."""
+        stddev = np.zeros(self.free.shape)
+        stddev[self.free] = np.sqrt(np.diag(self.covariance))
+        return stddev
 
 
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
@@ -135,10 +142,8 @@ def adjust_drive(
         g = sum((one.gradient for one in reduced), gradient)
         _add_stated_poses(H, g, states, priors.poses, free)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
-        full = np.zeros(free.shape)
-        full[free] = step[:count]
         shared = shared + step[count:]
-        states = [state.moved(one) for state, one in zip(states, full, strict=True)]
+        states = move_states(states, free, step[:count])
         parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
         if k >= _REWEIGHTED:
             # After the step: residuals and variances of different weights lead to a cycle of noise that grows.
@@ -166,7 +171,7 @@ def _add_stated_poses(
     H: Array, g: Array, states: Sequence[SensorState], poses: Mapping[int, StatedPose], free: NDArray[np.bool_]
 ) -> None:
     """Adds errors of states from stated poses, of the axes that are estimated, in place."""
-    columns = np.cumsum(free).reshape(free.shape) - 1
+    columns = number_free(free)
     for k, stated in poses.items():
         error = se_n.difference(states[k].T_root_sensor, stated.T)
         axes = np.flatnonzero(free[k, : len(error)])
@@ -179,14 +184,9 @@ def _add_priors(
     priors: AdjustmentPriors, states: Sequence[SensorState], start: Sequence[SensorState], shared: Array
 ) -> tuple[Array, Array]:
     """Information (P + G,) of priors but stated poses, and the gradient by the deviations from the start."""
-    deviation = np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
     free = priors.stddev > 0
     information = np.concatenate([priors.stddev[free], priors.shared]) ** -2.0
-    return information, information * np.concatenate([deviation[free], shared])
-
-
-def _count_periods(part: DrivePart) -> int:
-    return max(int((part.trajectory.end - part.trajectory.start) // PERIOD), 1)
+    return information, information * np.concatenate([measure_deviations(states, start)[free], shared])
 
 
 def _number_periods(part: DrivePart, times: Array, periods: int) -> Index:
@@ -205,7 +205,7 @@ def _release_periods(
 ) -> tuple[PeriodEquations, Array]:
     """The equations with a state of each sensor in each period of all parts, and the ends (K,) of these, s."""
     free = priors.stddev > 0
-    counts = [_count_periods(part) for part in parts]
+    counts = [max(int((part.trajectory.end - part.trajectory.start) // PERIOD), 1) for part in parts]
     sensor, period, column = np.nonzero(np.repeat(free[:, None], sum(counts), axis=1))
     own, P, G = len(period), int(free.sum()), len(shared)
     H, g = np.zeros((own + G,) * 2), np.zeros(own + G)
@@ -216,7 +216,7 @@ def _release_periods(
         H[np.ix_(rows, rows)] += reduced.information
         g[rows] += reduced.gradient
         first += count
-    same = np.append((np.cumsum(free).reshape(free.shape) - 1)[sensor, column], np.arange(P, P + G))
+    same = np.append(number_free(free)[sensor, column], np.arange(P, P + G))
     prior = _add_priors(priors, states, start, shared)
     equations = PeriodEquations(H, g, np.append(period, np.full(G, -1)), np.eye(P + G)[same], *prior)
     ends = [
@@ -389,3 +389,50 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: in
         g[size] -= change
     middle = K // 2 * columns + np.arange(columns)
     H[middle, middle] += _GAUGE**-2.0
+
+
+def change_root(adjusted: Adjustment, root: int) -> Adjustment:
+    """The states of all sensors with another root, which is first, and their covariance; without parts.
+
+    Args:
+        adjusted: the solution; its first sensor is the root.
+        root: number of the new one, whose pose is free in all axes.
+    """
+    S, columns = adjusted.free.shape
+    n = len(adjusted.states[root].T_root_sensor) - 1
+    p = n * (n + 1) // 2
+    order = [root, *(k for k in range(S) if k != root)]
+    of_root = adjusted.states[root]
+    T_new = se_n.inverse(of_root.T_root_sensor)
+    # Errors of the new parameters by those of the old ones; the old root gets the place of the new one.
+    J = np.zeros((S, columns, S, columns))
+    for row, k in enumerate(order):
+        by_root, by_own = se_n.relative_pose_jacobians(of_root.T_root_sensor, adjusted.states[k].T_root_sensor)
+        J[row, p:, k, p:] = np.eye(columns - p)
+        J[row, :p, k, :p] = by_own
+        J[row, :p, root, :p] += by_root
+        J[row, p, root, p] -= 1.0
+    free = adjusted.free.copy()
+    free[[0, root], : p + 1] = free[[root, 0], : p + 1]
+    free = free[order]
+    J = J.reshape(free.size, free.size)[np.ix_(free.ravel(), adjusted.free.ravel())]
+    return replace(
+        adjusted,
+        states=[
+            replace(
+                adjusted.states[k],
+                T_root_sensor=T_new @ adjusted.states[k].T_root_sensor,
+                clock_offset=adjusted.states[k].clock_offset - of_root.clock_offset,
+            )
+            for k in order
+        ],
+        parts=[],
+        associations=[],
+        responses=[],
+        covariance=J @ adjusted.covariance @ J.T,
+        independent_covariance=J @ adjusted.independent_covariance @ J.T,
+        free=free,
+        agreement=adjusted.agreement[np.ix_(order, order)],
+        noise=replace(adjusted.noise, white=adjusted.noise.white[order]),
+        point_counts=adjusted.point_counts[order],
+    )

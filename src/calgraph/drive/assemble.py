@@ -89,6 +89,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
     scanners = {name for name in names if in_space and rig.sensors[name].kind == "lidar2d"}
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
+        frame = spec.frame_id or result.frames.get(name)
         state = adjusted.states[k] if adjusted else None
         T = np.eye(4) if state is None else se2.to_se3(state.T_root_sensor)
         if k == 0:
@@ -111,7 +112,8 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             SensorPose(
                 name,
                 None if k == 0 else rig.root,
-                _name_frame(rig, name, result.frames),
+                # Wheels measure the motion of the vehicle's frame, which cannot be below its root.
+                name if not frame or (rig.base and frame == rig.base.frame) else frame,
                 spec.kind,
                 T,
                 verdict,
@@ -120,6 +122,11 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             )
         )
     unconnected = {name: start.reason for name, start in result.starts.items() if isinstance(start, Rejected)}
+    turning = (
+        f"turns do not determine where {name} is: its rotation is calibrated only"
+        for name in names
+        if rig.sensors[name].kind == "gyroscope"
+    )
     return Calibration(
         root=rig.root,
         sensors=tuple(sensors),
@@ -131,17 +138,11 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             tolerance=rig.tolerance,
             edges=tuple(_list_edges(rig, result)),
             unconnected=unconnected,
-            remarks=(*(finding.text for finding in result.findings), *_list_remarks(rig, names)),
+            remarks=(*(finding.text for finding in result.findings), *turning),
             fit=_describe_fit(names, adjusted, result.views) if adjusted else {},
         ),
         pictures=result.pictures,
     )
-
-
-def _name_frame(rig: Rig, name: str, recorded: Mapping[str, str]) -> str:
-    """The frame of a sensor; wheels measure the motion of the vehicle's frame, which cannot be below its root."""
-    frame = rig.sensors[name].frame_id or recorded.get(name)
-    return name if not frame or (rig.base and frame == rig.base.frame) else frame
 
 
 def describe_sensor_errors(rig: Rig, names: Sequence[str], adjusted: Adjustment) -> tuple[EstimatedParameter, ...]:
@@ -149,8 +150,6 @@ def describe_sensor_errors(rig: Rig, names: Sequence[str], adjusted: Adjustment)
 
     Those of times are of scans that do not state them.
     """
-    variance = np.zeros(adjusted.free.shape)
-    variance[adjusted.free] = np.diag(adjusted.covariance)
     found = []
     for k in np.flatnonzero(adjusted.point_counts).tolist():
         name, state = names[k], adjusted.states[k]
@@ -159,7 +158,7 @@ def describe_sensor_errors(rig: Rig, names: Sequence[str], adjusted: Adjustment)
         units = np.array([1.0, 1.0, *timing.max(axis=0)[:2]])
         prior = SOURCES[spec.kind].stddev(spec, n)[1 - BESIDE_POSE : -1] * units
         values = np.array([state.range_bias, 1 / (1 - state.range_scale), *state.timing[:2]]) * units
-        stddev = np.sqrt(variance[k, 1 - BESIDE_POSE : -1]) * units
+        stddev = adjusted.stddev[k, 1 - BESIDE_POSE : -1] * units
         rows = zip(_SENSOR_ERRORS, prior.tolist(), values.tolist(), stddev.tolist(), strict=True)
         found += [EstimatedParameter(name, *error, *numbers) for error, *numbers in rows if numbers[0] > 0]
     return tuple(found)
@@ -200,15 +199,6 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array, start: Moti
             "odometry lost its way"
         )
     return reasons
-
-
-def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:
-    """What sensors cannot measure."""
-    return [
-        f"turns do not determine where {name} is: its rotation is calibrated only"
-        for name in names
-        if rig.sensors[name].kind == "gyroscope"
-    ]
 
 
 def _describe_fit(names: Sequence[str], adjusted: Adjustment, views: Mapping[str, Array]) -> dict[str, FitError]:
@@ -261,7 +251,4 @@ def _lift_covariance(adjusted: Adjustment) -> tuple[Array, Array]:
     of_pose = np.flatnonzero(column < len(axes))
     rows = 6 * sensor[of_pose] + axes[column[of_pose]]
     covariance[np.ix_(rows, rows)] = adjusted.covariance[np.ix_(of_pose, of_pose)]
-    clocks = np.zeros(count)
-    of_clock = np.flatnonzero(column == len(axes))
-    clocks[sensor[of_clock]] = np.sqrt(np.diag(adjusted.covariance)[of_clock])
-    return covariance, clocks
+    return covariance, adjusted.stddev[:, len(axes)]

@@ -78,7 +78,9 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
             some = _select(sweep, points, predicted, velocity, surfaces, rng)
             pose, velocity, information = _register(some, poses[-1], predicted, duration, surfaces)
             poses.append(pose)
-            stddev.append(_measure_stddev(information, n))
+            # At most 10 m.
+            least = information + np.diag(np.repeat([1e-2, 1.0], [n, len(information) - n]))
+            stddev.append(float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(least)[:n, :n])[-1])))
         if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:
             last_key = sweep.time, poses[-1]
             key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
@@ -109,12 +111,6 @@ def _jacobian(world: Array, pose: Array, normals: Array) -> Array:
     """(N, n + d) derivatives of the distances of points (N, n) from surfaces by the pose."""
     arm = world - se_n.translation(pose)
     return np.concatenate([normals, np.einsum("ni,nij->nj", normals, se_n.rotation_jacobian(arm))], axis=1)
-
-
-def _measure_stddev(information: Array, n: int) -> float:
-    """:attr:`OdometryTrack.stddev` of the information (n + d, n + d) of points; at most 10 m."""
-    covariance = np.linalg.inv(information + np.diag(np.repeat([1e-2, 1.0], [n, len(information) - n])))
-    return float(np.sqrt(np.linalg.eigvalsh(covariance[:n, :n])[-1]))
 
 
 def _motion(velocity: Array, durations: Array | float) -> Array:

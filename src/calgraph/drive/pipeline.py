@@ -7,34 +7,33 @@ from itertools import pairwise
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
+from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive, change_root
 from calgraph.drive.assemble import DriveResult, assemble_drive, describe_sensor_errors, measure_views
-from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards
 from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
-from calgraph.drive.root_change import change_root
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.sources.camera import CameraSource, find_boards
-from calgraph.drive.start import MotionStart, StartMotion
-from calgraph.drive.start_heights import add_heights, leave_open
-from calgraph.drive.start_scanners import place_scanners
-from calgraph.drive.start_tree import choose_lead, solve_starts
+from calgraph.drive.start import MotionStart, StartMotion, choose_lead, solve_starts
+from calgraph.drive.start_places import add_heights, leave_open, place_scanners
 from calgraph.drive.stated_poses import StatedPose, find_wrong_poses, resolve_stated_poses
+from calgraph.drive.vehicle import assess_base
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.sensor_topics import check_sensor_topics
-from calgraph.result import Calibration
+from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, expand_covariance
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
+from calgraph.verdict.comparison import ExtrinsicsComparison
+from calgraph.verdict.contradicted_poses import compare_with_contradictions
 from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 from calgraph.verdict.state_changes import describe_changes
 
@@ -251,9 +250,7 @@ def _adjust(
 
 def _list_poses(adjusted: Adjustment) -> tuple[list[Array], list[Array]]:
     """Poses of all sensors, and their covariances as of independent errors, 0 where nothing is measured."""
-    whole = np.zeros((adjusted.free.size,) * 2)
-    whole[np.ix_(*[np.flatnonzero(adjusted.free)] * 2)] = adjusted.independent_covariance
-    size = adjusted.free.shape[1]
+    whole, size = expand_covariance(adjusted.independent_covariance, adjusted.free), adjusted.free.shape[1]
     starts = [(k * size, k * size + size - BESIDE_POSE) for k in range(len(adjusted.states))]
     return [state.T_root_sensor for state in adjusted.states], [whole[a:b, a:b] for a, b in starts]
 
@@ -289,3 +286,16 @@ def _select_parts(root: Segments, duration: float) -> list[tuple[Track, float, f
             turned.append(float(turn[(track.times[1:] > a) & (track.times[1:] <= b)].sum()))
     best = np.sort(np.argsort(-np.array(turned), kind="stable")[:_MAX_PARTS])
     return [parts[k] for k in best]
+
+
+def compare_drive_extrinsics(
+    rig: Rig, recording: Recording, given: ExtrinsicsFile, options: DriveOptions, progress: Progress = no_progress
+) -> tuple[Calibration, ExtrinsicsComparison]:
+    """Comparison of given extrinsics with the calibration of a drive, by the rig's tolerance.
+
+    Raises:
+        InputError: the extrinsics lack the root, or nothing fixed connects the sensors there; and as for
+            :func:`calgraph.drive.pipeline.calibrate_drive`.
+    """
+    calibration = calibrate_drive(rig, recording, options, progress)
+    return calibration, compare_with_contradictions(rig, calibration, given, "motions")

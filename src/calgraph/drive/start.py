@@ -4,11 +4,11 @@ Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D r
 1989; Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.drive.segments import Segments
 from calgraph.errors import Rejected
@@ -106,7 +106,9 @@ def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tu
         max_offset: to search within, s; where they have no time in common then, at all offsets at which they have
             half of the shorter one.
     """
-    (own, own_known), (rates, known) = (_sample_rates(one) for one in (root, sensor))
+    (own, own_known), (rates, known) = (
+        one.turn_rates(np.arange(one.start, one.end, 1 / _RATE)) for one in (root, sensor)
+    )
     for overlap, largest in ((_MIN_KNOWN, max_offset), (_MIN_COMMON, np.inf)):
         lags, scores = correlate_at_lags(rates, own, overlap, known, own_known)
         offsets = sensor.start - root.start + lags / _RATE
@@ -119,10 +121,6 @@ def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tu
         before, at, after = scores[best - 1 : best + 2]
         shift = 0.5 * float(before - after) / min(float(before - 2 * at + after), -1e-12)
     return float(offsets[best] + shift / _RATE), float(scores[best])
-
-
-def _sample_rates(track: Segments) -> tuple[Array, NDArray[np.bool_]]:
-    return track.turn_rates(np.arange(track.start, track.end, 1 / _RATE))
 
 
 def solve_start(
@@ -157,7 +155,7 @@ def solve_start(
         if A.shape[-1] == 3:
             travel = _measure_travel(T, A, B, weights)
     inliers = float(np.mean(weights > 0.25))
-    change = max(_measure_turn_change(one) for one in (A, B))
+    change = max(float(np.std(se_n.log(se_n.rotation(one)) @ measure_turns(one)[1][0])) for one in (A, B))
     return MotionStart(T, offset, inliers, correlation, len(A), turns, change, travel, axis, boards)
 
 
@@ -199,11 +197,6 @@ def measure_turns(motions: Array) -> tuple[Array, Array]:
     vectors = se_n.log(se_n.rotation(motions))
     _, turns, axes = np.linalg.svd(vectors, full_matrices=False)
     return np.asarray(turns / np.sqrt(len(motions))), np.asarray(axes)
-
-
-def _measure_turn_change(motions: Array) -> float:
-    """The standard deviation of the turns of motions (K, n+1, n+1) about their main axis, rad."""
-    return float(np.std(se_n.log(se_n.rotation(motions)) @ measure_turns(motions)[1][0]))
 
 
 def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free") -> str:
@@ -372,3 +365,72 @@ def _solve_rotation(A: Array, B: Array) -> tuple[Array, Array]:
         size = np.linalg.norm(from_a - from_b @ R.T, axis=1)
         weights = (1 + (size / (3 * max(float(np.median(size)), 1e-4))) ** 2) ** -2.0
     return se_n.pose(R, np.zeros(3)), weights
+
+
+# Share of the time that the best trajectory covers, with which the root's is taken: LiDARs start at other times.
+_MIN_COVERAGE = 0.8
+# Largest difference of clocks that is searched for, s.
+_MAX_CLOCK_OFFSET = 0.6
+
+
+def choose_lead(root: str, tracks: Mapping[str, Segments | Rejected]) -> str:
+    """The sensor whose trajectory covers most of the time; the root, if it covers nearly as much."""
+    covered = {name: 0.0 if isinstance(track, Rejected) else track.covered for name, track in tracks.items()}
+    best = max(covered, key=lambda name: covered[name])
+    return root if root in covered and covered[root] >= _MIN_COVERAGE * covered[best] else best
+
+
+def solve_starts(
+    lead: str, tracks: Mapping[str, Segments | Rejected], motions: Mapping[str, StartMotion], seed: int
+) -> dict[str, MotionStart | Rejected]:
+    """The start pose and clock of each sensor but the one that leads, against it, or why it has none.
+
+    Cameras before boards cover little of the time. Where all sensors do, those that are connected serve the next
+    ones together: they have poses in the frames of the same boards.
+
+    Args:
+        lead: name of the sensor that leads.
+        tracks: trajectory by sensor, or why it has none.
+        motions: what each start is found from.
+        seed: of random samples.
+    """
+    along = tracks[lead]
+    if isinstance(along, Rejected):
+        reason = f"the root {lead} has no trajectory: {along.reason}"
+        return {
+            name: track if isinstance(track, Rejected) else Rejected(reason)
+            for name, track in tracks.items()
+            if name != lead
+        }
+    found: dict[str, MotionStart | Rejected] = {}
+    pending = [name for name in tracks if name != lead]
+    rngs = {name: np.random.default_rng([seed, k, 2]) for k, name in enumerate(tracks)}
+    while pending:
+        tried = {name: _solve_start(along, name, tracks[name], motions[name], rngs[name]) for name in pending}
+        found |= tried
+        solved = {
+            name: (start, track)
+            for name, start in tried.items()
+            if isinstance(start, MotionStart) and isinstance(track := tracks[name], Segments) and track.worlds
+        }
+        if not along.worlds or not solved:
+            break
+        # Of cameras, the one that moved most together with those that are connected is the next.
+        best = max(solved, key=lambda name: solved[name][0].motions)
+        start, track = solved[best]
+        along = along.joined(track.of_frame(se_n.inverse(start.T_root_sensor), -start.clock_offset))
+        pending.remove(best)
+    return found
+
+
+def _solve_start(
+    along: Segments, name: str, track: Segments | Rejected, motion: StartMotion, rng: np.random.Generator
+) -> MotionStart | Rejected:
+    """The start pose and clock of a sensor against a trajectory, or why it has none."""
+    if isinstance(track, Rejected):
+        return track
+    start = solve_start(along, track, _MAX_CLOCK_OFFSET, rng, motion)
+    if isinstance(start, Rejected):
+        return start
+    failure = explain_failure(start, name, motion)
+    return Rejected(failure) if failure else start

@@ -69,6 +69,14 @@ def thin_sweep(sweep: Sweep, count: int, rng: np.random.Generator) -> Sweep:
     return sweep.select(np.sort(rng.choice(len(sweep.points), count, replace=False)))
 
 
+def join_sweeps(sweeps: Sequence[Sweep]) -> Sweep:
+    """The points of one sweep or more as one, without a common time."""
+    points, times, timing = (
+        np.concatenate([getattr(one, name) for one in sweeps]) for name in ("points", "times", "timing")
+    )
+    return Sweep(np.nan, points, times, timing)
+
+
 def smooth_times(sweeps: Sequence[Sweep], stamps: Array) -> list[Sweep]:
     """Sweeps by the smoothed stamps (M,) of their messages, s, ascending; timing is in seconds then."""
     period, smooth = smooth_stamps(stamps)

@@ -18,21 +18,36 @@ less far in curves to the left,
 with ``x̄`` the vehicle's front, and ``s`` the error of the wheels' radius.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
+from calgraph.drive.points_on_surfaces import select_inside
 from calgraph.drive.segments import Segments
 from calgraph.errors import Rejected
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2, se3, se_n, so3
+from calgraph.geometry import (
+    STDDEV_PER_MAD,
+    Array,
+    Index,
+    join_rows,
+    measure_lengths,
+    se2,
+    se3,
+    se_n,
+    select_rows,
+    so3,
+)
+from calgraph.result import BaseFrame, Verdict
 from calgraph.surfaces.floor import axes_from, mean_rotations, measure_level
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, move_states
+from calgraph.verdict.grades import grade_pose
 
 # Steps in which the heading is taken from the middle, s: knots of trajectories are as dense.
 _STEP = 0.1
@@ -135,7 +150,10 @@ def locate_root(
     covariance = scatter_of(chords, pose)
     if isinstance(covariance, Rejected):
         return covariance
-    covariance += _floor_covariance(chords)
+    # The floor tilts to one side for metres, and is measured with errors in common.
+    places_apart = max(float(measure_lengths(chords.shift.sum(axis=1)).sum()) / _WAVE, 1.0)
+    tilt = _scatter_of_level(chords) ** 2 / places_apart + _TILT_STDDEV**2
+    covariance += np.diag([0.0, 0.0, _HEIGHT_STDDEV**2, tilt, tilt, 0.0])
     # What the drive leaves open of ranges and poses of sensors changes the trajectory, and the floor with it.
     stddev = np.sqrt(np.diag(adjusted.covariance))
     by_state = np.zeros((6, len(stddev)))
@@ -146,30 +164,20 @@ def locate_root(
     _, variance, wheel_error = fit_side(chords, pose)
     covariance[1, 1] += variance
     planar = adjusted.parts[0].points[0].points.shape[1] == 2
-    turned = [one.turned(pose) > _MIN_TURN for one in (chords, chords.select(chords.have_wheels))]
+    turned = [one.turned(pose) > _MIN_TURN for one in (chords, select_rows(chords, chords.have_wheels))]
     known = np.array([*turned, *[not planar] * 3, True])
     covariance[~known], covariance[:, ~known] = np.nan, np.nan
     return VehiclePose(se3.pose(pose[:3, :3], np.where(known[:3], pose[:3, 3], 0.0)), covariance, wheel_error)
 
 
-def _floor_covariance(chords: "Chords") -> Array:
-    """(6, 6) what the floor adds: it tilts to one side for metres, and is measured with errors in common."""
-    tilt = _scatter_of_level(chords)
-    places = max(float(measure_lengths(chords.shift.sum(axis=1)).sum()) / _WAVE, 1.0)
-    variance = tilt**2 / places + _TILT_STDDEV**2
-    return np.diag([0.0, 0.0, _HEIGHT_STDDEV**2, variance, variance, 0.0])
-
-
 def _move(adjusted: Adjustment, step: Array) -> tuple[list[DrivePart], list[SensorState]]:
     """The parts with their trajectories, and the sensors, after a step (P,) of the free parameters."""
-    full = np.zeros(adjusted.free.shape)
-    full[adjusted.free] = step
     parts = []
     for part, response in zip(adjusted.parts, adjusted.responses, strict=True):
         control = part.trajectory.control
         change = (response @ step)[: control.size].reshape(control.shape)
         parts.append(replace(part, trajectory=part.trajectory.moved(change)))
-    return parts, [state.moved(one) for state, one in zip(adjusted.states, full, strict=True)]
+    return parts, move_states(adjusted.states, adjusted.free, step)
 
 
 def _choose_places(measure: Callable[[Array], "Chords"], pose: Array) -> Array:
@@ -214,7 +222,7 @@ def _measure_chords(
                 level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
         travelled = None if wheels is None else wheels.measure(times, states[wheels.number].clock_offset)
         found.append(join_chords(poses, level, places[1], travelled, k))
-    return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
+    return join_rows(found)
 
 
 def _select_located(adjusted: Adjustment, root: int) -> list[int]:
@@ -222,10 +230,8 @@ def _select_located(adjusted: Adjustment, root: int) -> list[int]:
 
     A root that looks ahead hardly measures where it drives; one whose pose is off by metres finds floors anywhere.
     """
-    stddev = np.zeros(adjusted.free.shape)
-    stddev[adjusted.free] = np.sqrt(np.diag(adjusted.covariance))
     n = adjusted.states[0].T_root_sensor.shape[0] - 1
-    placed, turned = stddev[:, :n] < _LOCATED[0], stddev[:, n:-BESIDE_POSE] < _LOCATED[1]
+    placed, turned = adjusted.stddev[:, :n] < _LOCATED[0], adjusted.stddev[:, n:-BESIDE_POSE] < _LOCATED[1]
     located = np.flatnonzero(placed.all(axis=1) & turned.all(axis=1))
     return sorted({root, *located.tolist()})
 
@@ -233,10 +239,10 @@ def _select_located(adjusted: Adjustment, root: int) -> list[int]:
 def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Iterable[int]) -> Array:
     """(N, 3) points of some sensors in the world of a part."""
     world = []
-    for measured, state in ((part.points[k], states[k]) for k in sensors):
-        times = state.date(measured)
-        inside = (times >= part.trajectory.start) & (times <= part.trajectory.end)
-        T = part.trajectory.at(times[inside]).poses @ state.T_root_sensor
+    for k in sensors:
+        measured, state = part.points[k], states[k]
+        inside = select_inside(part, k, state)
+        T = part.trajectory.at(state.date(measured)[inside]).poses @ state.T_root_sensor
         world.append(se_n.apply(T, state.correct(measured.points[inside])[:, None])[:, 0])
     return np.concatenate(world)
 
@@ -262,10 +268,6 @@ class Chords:
     def have_wheels(self) -> NDArray[np.bool_]:
         """(C,) whether distances of the wheels are known."""
         return np.asarray(np.isfinite(self.travelled).all(axis=(1, 2)))
-
-    def select(self, index: NDArray[np.bool_]) -> "Chords":
-        """Some of them."""
-        return Chords(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def turned(self, T_base_root: Array) -> float:
         """Sum of the turns about the vertical axis to either side, rad."""
@@ -302,7 +304,7 @@ def join_chords(poses: Array, level: Array, axle: Array, travelled: Array | None
 
 def scatter_of(chords: Chords, pose: Array) -> Array | Rejected:
     """Covariance (6, 6) of a pose: its scatter when intervals are left out (jackknife), and what slip changes."""
-    fitted = [fit_pose(chords.select(chords.block != one)) for one in np.unique(chords.block)]
+    fitted = [fit_pose(select_rows(chords, chords.block != one)) for one in np.unique(chords.block)]
     poses = [one for one in fitted if not isinstance(one, Rejected)]
     if len(poses) < max(_MIN_BLOCKS, len(fitted)):
         return Rejected("the drive is too short for the vehicle's frame: drive for a minute, with curves")
@@ -340,7 +342,7 @@ def fit_side(chords: Chords, T_base_root: Array) -> tuple[float, float, float]:
 
     0 without wheels.
     """
-    used = chords.select(chords.have_wheels)
+    used = select_rows(chords, chords.have_wheels)
     if not len(used.block):
         return 0.0, 0.0, 0.0
     ahead, up, height = T_base_root[0, :3], T_base_root[2, :3], T_base_root[2, 3]
@@ -422,3 +424,58 @@ def fit_axle(steps: Array, turns: Array, max_slip: float = _SLIP) -> tuple[float
     if speeds[speeds > 0].sum() < _MIN_AHEAD * way:
         return Rejected("the vehicle drove backwards as far as ahead: drive ahead, which is where its front is")
     return angle, distance
+
+
+# Error of wheels in 2.4 s from which they contradict the trajectory, m: slip of half a per cent is 2 cm; it was
+# 0.2 m where the odometry of a scanner had lost its way.
+_MAX_WHEEL_ERROR = 0.1
+_ADVICE = "drive for a minute on a level floor, with curves to both sides and straight parts"
+
+
+def assess_base(
+    rig: Rig, used: Sequence[str], tracks: Mapping[str, Segments | Rejected], adjusted: Adjustment | None
+) -> BaseFrame | None:
+    """The root on the vehicle with a verdict; None without ``base``.
+
+    Args:
+        rig: states the frame.
+        used: the sensors of the solution.
+        tracks: trajectories of all sensors, by themselves.
+        adjusted: the solution; None if there is none.
+    """
+    base = rig.base
+    if base is None:
+        return None
+    found: VehiclePose | Rejected = Rejected("the root has no trajectory")
+    if adjusted:
+        wheels = None
+        if base.wheels is not None and base.wheels in used:
+            track = tracks[base.wheels]
+            wheels = Wheels(used.index(base.wheels), track) if isinstance(track, Segments) else None
+        found = locate_root(adjusted, used.index(rig.root), inverted=base.inverted, wheels=wheels)
+    if isinstance(found, Rejected):
+        return BaseFrame(base.frame, base.axle, Verdict("unobservable", f"{found.reason}; {_ADVICE}"))
+    T, measured = found.T_base_root, ~np.isnan(np.diag(found.covariance))
+    t = np.where(measured[:3], T[:3, 3], np.nan)
+    t[1] = t[1] if base.y is None else base.y
+    # x, which curves determine, belongs to any vehicle; a scan plane has no height, roll and pitch.
+    covariance = np.nan_to_num(found.covariance)
+    if not measured[0]:
+        covariance[0, 0] = np.inf
+    missing = f"curves in which {base.wheels} measures" if base.wheels else "base.wheels"
+    open_side = (
+        f"y of {rig.root} in {base.frame} is not observable from a drive without {missing}: "
+        "measure it, and state base.y"
+    )
+    reasons = [open_side] if np.isnan(t[1]) else []
+    if found.wheel_error > _MAX_WHEEL_ERROR:
+        reasons.append(
+            f"distances of {base.wheels} and of the root differ by {found.wheel_error:.1f} m in 2.4 s: odometry "
+            "of one lost its way, or wheels slipped; drive slower, where walls and furniture are near"
+        )
+    verdict = grade_pose(
+        base.frame, rig.sensors[rig.root].kind, np.eye(4), covariance, reasons,
+        tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
+        data="motions", advice=_ADVICE,
+    )  # fmt: skip
+    return BaseFrame(base.frame, base.axle, verdict, se3.pose(T[:3, :3], t), found.covariance)

@@ -1,10 +1,16 @@
 """Types of arrays used in the whole package."""
 
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Table = TypeVar("Table")
+"""A dataclass whose fields are arrays with the same number of rows (N, ...)."""
 
 # Standard deviation of a normal distribution over its median absolute deviation: 1 / Φ⁻¹(3/4).
 STDDEV_PER_MAD = 1.4826
@@ -64,3 +70,19 @@ def invert_2x2(M: Array) -> Array:
     inverse[..., 0, 1], inverse[..., 1, 0] = -M[..., 0, 1], -M[..., 1, 0]
     determinant = M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
     return inverse / determinant[..., None, None]
+
+
+def select_rows(table: Table, rows: NDArray[np.bool_] | Index | slice) -> Table:
+    """Some rows of a table."""
+    return type(table)(*(column[rows] for column in _list_columns(table)))
+
+
+def join_rows(tables: Iterable[Table]) -> Table:
+    """The rows of one table or more, one after the other."""
+    tables = list(tables)
+    columns = zip(*map(_list_columns, tables), strict=True)
+    return type(tables[0])(*map(np.concatenate, columns))
+
+
+def _list_columns(table: Any) -> list[Any]:
+    return [getattr(table, field.name) for field in fields(table)]

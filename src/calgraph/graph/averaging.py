@@ -154,8 +154,15 @@ def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -
     scale = np.sqrt(np.maximum(degree, np.finfo(np.float64).tiny))
     i, j = graph.edges.T
     blocks = (w / (scale[i] * scale[j]))[:, None, None] * graph.R_i_j
-    G = _block_matrix(graph, blocks)
-    vectors = np.linalg.eigh(G.toarray())[1][:, -n:] if count * n <= _MAX_DENSE else _leading_eigenvectors(G, n)
+    # Summed over alternatives.
+    both_ways = np.concatenate([blocks, se_n.transpose(blocks)])
+    G = csr_array(assemble_blocks(np.concatenate([i, j]), np.concatenate([j, i]), both_ways, count, count))
+    if count * n <= _MAX_DENSE:
+        vectors = np.linalg.eigh(G.toarray())[1][:, -n:]
+    else:
+        # From a fixed start, so that results repeat.
+        start = np.random.default_rng(0).normal(size=G.shape[0])
+        vectors = np.asarray(eigsh(G, k=n, which="LA", v0=start)[1], dtype=np.float64)
     # Rows of the eigenvectors are R_node_root times one unknown orthogonal matrix, which may be a reflection.
     M = vectors.reshape(count, n, n)
     if np.sum(np.sign(np.linalg.det(M))) < 0:
@@ -279,17 +286,3 @@ def _chain_along_tree(graph: PoseGraph, R_i_j: Array, cost: Array) -> Array:
     in_tree = find_minimum_tree(graph, 1.0 + cost)
     rotations = replace(graph, T_i_j=se_n.pose(R_i_j, np.zeros((len(R_i_j), graph.dimension))))
     return se_n.rotation(compute_tree_poses(rotations.select_edges(in_tree), np.ones((1, graph.count - 1)))[0])
-
-
-def _block_matrix(graph: PoseGraph, blocks: Array) -> csr_array:
-    """Sparse symmetric matrix (N n, N n) with the blocks (E, n, n) at (i, j), summed over alternatives."""
-    i, j = graph.edges.T
-    rows, columns = np.concatenate([i, j]), np.concatenate([j, i])
-    both_ways = np.concatenate([blocks, se_n.transpose(blocks)])
-    return csr_array(assemble_blocks(rows, columns, both_ways, graph.count, graph.count))
-
-
-def _leading_eigenvectors(G: csr_array, n: int) -> Array:
-    """The n eigenvectors of largest eigenvalue, from a fixed start, so that results repeat."""
-    start = np.random.default_rng(0).normal(size=G.shape[0])
-    return np.asarray(eigsh(G, k=n, which="LA", v0=start)[1], dtype=np.float64)

@@ -23,8 +23,7 @@ from calgraph.network.checks.moved_scanners import compare_network_poses
 from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
-from calgraph.network.joint.planar_poses import NetworkPoses, complete_covariance
-from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.planar_poses import NetworkPoses, ScannerPrior, complete_covariance
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pairs.scanner_pair import ScannerPairs
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners

@@ -4,7 +4,7 @@ import logging
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -259,16 +259,9 @@ def _check_workers(client: "Client") -> None:
     versions = client.get_versions(packages=list(_PROGRAMS))
     own = versions["client"]["packages"]
     for worker, description in versions["workers"].items():
-        if differing := _compare_versions(own, description["packages"]):
+        others = description["packages"]
+        if differing := [name for name in _PROGRAMS if own[name] != others.get(name)]:
+            named = (f"{name} {others.get(name) or 'is missing'} in place of {own[name]}" for name in differing)
             raise CalibrationError(
-                f"the worker {worker} has other versions than this computer: {differing}; install the same"
+                f"the worker {worker} has other versions than this computer: {', '.join(named)}; install the same"
             )
-
-
-def _compare_versions(own: Mapping[str, str | None], others: Mapping[str, str | None]) -> str:
-    """Where versions differ, in words; empty if they do not."""
-    return ", ".join(
-        f"{name} {others.get(name) or 'is missing'} in place of {own[name]}"
-        for name in _PROGRAMS
-        if own[name] != others.get(name)
-    )

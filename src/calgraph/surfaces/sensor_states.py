@@ -3,11 +3,13 @@
 The sensor is on a moving root, or stands still in a world that is its root.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calgraph.geometry import Array, measure_lengths, se_n
+from calgraph.geometry import Array, Index, measure_lengths, se_n
 
 TIMING = 3
 """Number of parameters of the times of beams; see :attr:`SensorPoints.timing`."""
@@ -95,3 +97,27 @@ class SensorState:
         by_state[:, :, pose + 1] = -beams
         by_state[:, :, pose + 2] = -beams * ranges[:, None]
         return arms + se_n.translation(self.T_root_sensor), by_state
+
+
+def move_states(states: Sequence[SensorState], free: NDArray[np.bool_], step: Array) -> list[SensorState]:
+    """The states after a step (P,) of those of their numbers (S, F) that are free."""
+    full = np.zeros(free.shape)
+    full[free] = step
+    return [state.moved(one) for state, one in zip(states, full, strict=True)]
+
+
+def measure_deviations(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
+    """(S, F) deviations from the start."""
+    return np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
+
+
+def number_free(free: NDArray[np.bool_]) -> Index:
+    """(S, F) place of each free number among all of them; of others, it has no meaning."""
+    return np.asarray(np.cumsum(free).reshape(free.shape) - 1)
+
+
+def expand_covariance(covariance: Array, free: NDArray[np.bool_]) -> Array:
+    """(S F, S F) of all numbers from that of the free ones (P, P); 0 of others."""
+    whole = np.zeros((free.size,) * 2)
+    whole[np.ix_(*[np.flatnonzero(free)] * 2)] = covariance
+    return whole

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from calgraph.config import Rig
-from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
+from calgraph.result import Calibration, ExtrinsicsFile, SensorPose
 from calgraph.result.finding import split_clauses
 from calgraph.verdict.comparison import ExtrinsicsComparison, SensorComparison, compare_poses, match_poses
 from calgraph.verdict.grades import grade_pose, names_sources
@@ -40,14 +40,12 @@ def _is_contradicted(rig: Rig, sensor: SensorPose) -> bool:
         sensor.name, sensor.kind, sensor.T_root_sensor, sensor.measured_covariance,
         tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
     )  # fmt: skip
-    stated, expected = (_count_reasons(one) for one in (sensor.verdict, alone))
+    # Beside what the standard deviations come from.
+    stated, expected = (
+        sum(not names_sources(clause) for clause in split_clauses(one.reason)) if one.reason else 0
+        for one in (sensor.verdict, alone)
+    )
     return stated > expected
-
-
-def _count_reasons(verdict: Verdict) -> int:
-    """Clauses of a verdict, beside what the standard deviations come from."""
-    clauses = split_clauses(verdict.reason) if verdict.reason else ()
-    return sum(not names_sources(clause) for clause in clauses)
 
 
 def _leave_open(one: SensorComparison, calibration: Calibration) -> SensorComparison:

@@ -167,7 +167,8 @@ class ParameterEstimates:
     def _describe_common(self, i: int, others: Sequence[int]) -> tuple[list[int], str]:
         """Parameters that deviate together, and their deviations; those of the same quantity are one clause."""
         quantity = self.parameters[i].quantity
-        same = [j for j in others if self.parameters[j].quantity == quantity and self._deviates_as(j, i)]
+        as_i = self.deviation * self.deviation[i] > 0
+        same = [j for j in others if self.parameters[j].quantity == quantity and as_i[j]]
         rest = [j for j in others if j not in same][:_MAX_ALTERNATIVES]
         names = [self.parameters[j].of for j in (i, *same)]
         of = f"{', '.join(names[:-1])} and {names[-1]}" if same else names[0]
@@ -175,9 +176,6 @@ class ParameterEstimates:
         clauses = [describe_deviation(self.parameters[i], common, of)]
         clauses += [describe_deviation(self.parameters[j], float(self.deviation[j])) for j in rest]
         return [i, *same, *rest], ", and ".join(clauses)
-
-    def _deviates_as(self, j: int, i: int) -> bool:
-        return bool(self.deviation[i] * self.deviation[j] > 0)
 
     def deviation_alone(self, i: int, rest: Index) -> float:
         """The deviation of parameter i if the rest is as stated."""

@@ -16,10 +16,13 @@ from calgraph.network.checks.extension import (
     remove_scanners,
 )
 from calgraph.network.joint.error_sources import EARLIER
-from calgraph.network.joint.planar_poses import NetworkPoses, extract_planar_poses
-from calgraph.network.joint.scanner_matrix import ScannerMatrix
-from calgraph.network.joint.scanner_order import ScannerOrder
-from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
+from calgraph.network.joint.planar_poses import (
+    NetworkPoses,
+    ScannerPrior,
+    build_scanner_prior,
+    extract_planar_poses,
+)
+from calgraph.network.joint.scanner_matrix import ScannerMatrix, ScannerOrder
 from calgraph.result import Calibration, Edge, ErrorBudget, ErrorSource, Verdict
 from known_networks import calibration, four_scanners
 

@@ -14,8 +14,8 @@ from calgraph.network.checks import remedies
 from calgraph.network.checks.model_assessment import CORRELATED_BEAMS
 from calgraph.network.checks.remedies import _Measure, _Prediction, _record_longer
 from calgraph.network.joint.estimate import NetworkSolution
+from calgraph.network.joint.planar_poses import ScannerPrior
 from calgraph.network.joint.problem import NetworkProblem, NetworkState, WallConstraint
-from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.joint.scanner_unknowns import collect_prior_sigma
 from calgraph.network.joint.solver import (
     NetworkEquations,

@@ -13,9 +13,8 @@ from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.error_sources import EARLIER, compute_error_budget, split_covariance
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.legs import LegObservations
-from calgraph.network.joint.planar_poses import lift_covariance
+from calgraph.network.joint.planar_poses import ScannerPrior, lift_covariance
 from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, NetworkState, WallConstraint
-from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.joint.scanner_unknowns import FIRST_SYSTEMATIC
 from calgraph.network.joint.solver import (
     NetworkEquations,

@@ -7,8 +7,7 @@ import pytest
 
 from calgraph.geometry import Array
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipses import EllipseObservations
-from calgraph.network.joint.heading_search import _find_cheapest_sequence, search_headings
+from calgraph.network.joint.ellipses import EllipseObservations, _find_cheapest_sequence, search_headings
 from calgraph.network.joint.problem import BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.splines import Knots
 from network_scenes import DENSITY, EXACT, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.scanner_matrix import ScannerMatrix
-from calgraph.network.joint.scanner_order import ScannerOrder
+from calgraph.network.joint.scanner_matrix import ScannerMatrix, ScannerOrder
 
 COUNT, UNKNOWNS = 24, 4
 SIZE = COUNT * UNKNOWNS

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import se2
-from calgraph.network.joint.planar_poses import NetworkPoses
-from calgraph.network.joint.scanner_matrix import ScannerMatrix
-from calgraph.network.joint.scanner_order import ScannerOrder
-from calgraph.network.joint.scanner_prior import build_scanner_prior
+from calgraph.network.joint.planar_poses import NetworkPoses, build_scanner_prior
+from calgraph.network.joint.scanner_matrix import ScannerMatrix, ScannerOrder
 
 
 def test_an_exact_pose_has_a_prior_of_10_micrometres_and_1_microradian() -> None:

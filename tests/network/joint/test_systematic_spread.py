@@ -7,8 +7,7 @@ from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array
 from calgraph.network.joint.body_batches import BodyBatches, KeptValues
 from calgraph.network.joint.problem import NetworkProblem, NetworkState
-from calgraph.network.joint.scanner_matrix import ScannerMatrix
-from calgraph.network.joint.scanner_order import ScannerOrder
+from calgraph.network.joint.scanner_matrix import ScannerMatrix, ScannerOrder
 from calgraph.network.joint.scanner_unknowns import (
     FIRST_SYSTEMATIC,
     RANGE_BIAS,

@@ -7,7 +7,7 @@ from calgraph.geometry import Array
 from calgraph.network.pairs.hypothesis_evidence import (
     _count_by_chance,
     count_expected,
-    select_distinct_rows,
+    select_distinct,
     subsample_pairs,
 )
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
@@ -62,7 +62,7 @@ def test_each_of_a_few_samples_is_looked_up() -> None:
 @pytest.mark.parametrize("wanted", [40, 100])
 def test_few_pairs_are_all_kept(wanted: int) -> None:
     walk = samples(list(range(40)), [HERE] * 40)
-    assert len(subsample_pairs(pair_samples(walk, walk), wanted, 10)) == 40
+    assert len(subsample_pairs(pair_samples(walk, walk), wanted)) == 40
 
 
 def poses(x: list[float], degrees: list[float]) -> Array:
@@ -76,5 +76,5 @@ def poses(x: list[float], degrees: list[float]) -> Array:
     ("x", "degrees", "kept"), [(0.4, 7.0, [0]), (0.6, 7.0, [0, 1]), (0.4, 9.0, [0, 1]), (0.5, 0.0, [0, 1])]
 )
 def test_poses_are_distinct_by_position_or_angle(x: float, degrees: float, kept: list[int]) -> None:
-    found = select_distinct_rows(poses([0.0, x], [0.0, degrees]), np.array([0.1, 0.2]), 5, 0.5, np.radians(8))
+    found = select_distinct(poses([0.0, x], [0.0, degrees]), np.array([0.1, 0.2]), 5, 0.5, np.radians(8))
     assert found == kept

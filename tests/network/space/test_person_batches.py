@@ -4,8 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.network.space.person_batches import LocalPerson, add_persons, reduce_persons
-from calgraph.network.space.person_paths import SHAPE, SHARED_MEAN, BodyNoise, reduce_person
+from calgraph.network.space.person_paths import (
+    SHAPE,
+    SHARED_MEAN,
+    BodyNoise,
+    LocalPerson,
+    add_persons,
+    reduce_person,
+    reduce_persons,
+)
 from calgraph.network.space.persons import find_persons, gather_samples
 from calgraph.parallel.engine import THIS_PROCESS, Processes
 from network.space.space_scenes import build_scene, prior_of

@@ -9,8 +9,7 @@ from calgraph.config.settings import DiagnosticsSettings
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import se3, so3
 from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_calibrations
-from calgraph.network.joint.planar_poses import NetworkPoses, extract_poses
-from calgraph.network.joint.scanner_prior import build_scanner_prior
+from calgraph.network.joint.planar_poses import NetworkPoses, build_scanner_prior, extract_poses
 from calgraph.network.space.joint import solve_space
 from calgraph.result import Calibration, SensorPose, Verdict
 from known_networks import calibration as planar_calibration

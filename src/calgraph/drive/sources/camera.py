@@ -53,7 +53,12 @@ class CameraSource(Source):
     def track(self, rng: np.random.Generator) -> Segments | Rejected:  # noqa: ARG002
         """The trajectory in the frames of boards: a segment for each time during which one is in view."""
         segments = [views for views in split_views(self.views) if len(views) > 1]
-        tracks = [_make_track(views) for views in segments]
+        tracks = [
+            Track(
+                np.array([one.time for one in some]), se3.inverse(np.array([one.T_camera_board for one in some]))
+            )
+            for some in segments
+        ]
         count = sum(len(track.times) for track in tracks)
         if count < MIN_VIEWS:
             return Rejected(
@@ -92,12 +97,6 @@ def split_views(views: Sequence[BoardView]) -> list[list[BoardView]]:
             found.append([view])
         # Another board takes over where the current one is not detected any more: not while it is.
     return found
-
-
-def _make_track(views: Sequence[BoardView]) -> Track:
-    return Track(
-        np.array([view.time for view in views]), se3.inverse(np.array([view.T_camera_board for view in views]))
-    )
 
 
 def find_boards(

@@ -10,7 +10,7 @@ from calgraph.config import Rig
 from calgraph.drive.odometry import track_sensor
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.source import CLOCK_STDDEV, POSE_STDDEV, Source, SourceKind
-from calgraph.drive.sweeps import Sweep, read_sweep, smooth_times, thin_sweep
+from calgraph.drive.sweeps import Sweep, join_sweeps, read_sweep, smooth_times, thin_sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.sensors import LaserScan, Message, PointCloud
@@ -97,12 +97,8 @@ class LidarSource(Source):
         near = [sweep for sweep in self.sweeps if start - 1.0 <= sweep.time <= end + 1.0]
         if not near:
             return super().points(start, end)
-        return SensorPoints(
-            np.concatenate([one.points for one in near]),
-            np.concatenate([one.times for one in near]),
-            np.concatenate([one.timing for one in near]),
-            self.flat_in_space,
-        )
+        joined = join_sweeps(near)
+        return SensorPoints(joined.points, joined.times, joined.timing, self.flat_in_space)
 
 
 def _range_stddev(spec: SensorSpec, n: int) -> Array:

@@ -72,9 +72,9 @@ class TrajectoryReader:
         _, first = np.unique(rows[:, 0], return_index=True)
         rows, length = rows[first], length[first]
         poses = se_n.pose(so3.from_quaternion(rows[:, 4:] / length[:, None]), rows[:, 1:4])
-        planar = bool(len(poses)) and _is_planar(poses)
+        planar = len(poses) > 0 and np.ptp(poses[:, 2, 3]) < _FLAT and np.abs(poses[:, 2, :2]).max() < _FLAT
         axes = np.arange(3 * self._dimension - 3)
-        return MotionSource(self._split(rows[:, 0], poses), self._dimension, axes, planar)
+        return MotionSource(self._split(rows[:, 0], poses), self._dimension, axes, bool(planar))
 
     def _split(self, times: Array, poses: Array) -> Segments | Rejected:
         """The poses (N, 4, 4) in segments, which end where they jump."""
@@ -83,7 +83,7 @@ class TrajectoryReader:
             there = f"; its topic has {there}: state frame_id and parent" if there else ""
             return Rejected(f"it has {len(times)} usable poses; a drive needs {_MIN_POSES}{there}")
         if self._dimension == 2:
-            if not _is_level(poses):
+            if np.quantile(np.hypot(poses[:, 2, 0], poses[:, 2, 1]), 0.9) >= np.sin(_MAX_TILT):
                 return Rejected(
                     "its poses are not level, and 2-D scanners measure motion in a plane only: leave out either"
                 )
@@ -170,14 +170,6 @@ def _find_undetermined(trajectory: SplineTrajectory, state: SensorState, axes: I
         # The height of a trajectory, or the rotation of a gyroscope about the vertical.
         change[3 if axes.min() >= n else 0 :][:3] = about[0]
     return change
-
-
-def _is_planar(poses: Array) -> bool:
-    return bool(np.ptp(poses[:, 2, 3]) < _FLAT and np.abs(poses[:, 2, :2]).max() < _FLAT)
-
-
-def _is_level(poses: Array) -> bool:
-    return bool(np.quantile(np.hypot(poses[:, 2, 0], poses[:, 2, 1]), 0.9) < np.sin(_MAX_TILT))
 
 
 def average_poses(track: Track, step: float) -> Track:

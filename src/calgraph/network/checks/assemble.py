@@ -17,7 +17,7 @@ from calgraph.graph.spanning_tree import walk_tree
 from calgraph.network.checks.remedies import find_network_remedies
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.body_equations import PredictedBeams, predict_beams
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.error_sources import compute_error_budget
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import lift_covariance
@@ -335,22 +335,18 @@ def collect_beam_views(
 def _list_inlier_rows(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, step: Index
 ) -> list[tuple[int, int, float, Array]]:
-    """Each scanner's inlier beams on a body: their number, sum of squared residuals, and every n-th (S,) row."""
+    """Each scanner's inlier beams on a body: their number, sum of squared residuals, and every n-th (S,) row.
+
+    A row is time by the scanner's clock, end of the beam, and measured minus predicted range.
+    """
     listed = []
     for beams in predict_beams(network, state, body, path):
-        rows = _inlier_rows(beams)
-        scanner = beams.scans.scanner
-        listed.append((scanner, len(rows), float(rows[:, 3] @ rows[:, 3]), rows[:: step[scanner]].copy()))
+        scans = beams.scans
+        time, residual = scans.times[beams.scan] + scans.beam_delay, -beams.residual * beams.sigma
+        rows = np.column_stack([time, scans.direction * scans.ranges[:, None], residual])[scans.weight > 0]
+        thinned = rows[:: step[scans.scanner]].copy()
+        listed.append((scans.scanner, len(rows), float(rows[:, 3] @ rows[:, 3]), thinned))
     return listed
-
-
-def _inlier_rows(beams: PredictedBeams) -> Array:
-    """(N, 4) time by the scanner's clock, end of the beam, and measured minus predicted range."""
-    scans = beams.scans
-    time = scans.times[beams.scan] + scans.beam_delay
-    residual = -beams.residual * beams.sigma
-    rows = np.column_stack([time, scans.direction * scans.ranges[:, None], residual])
-    return rows[scans.weight > 0]
 
 
 # Sizes of the report, for pages of a few megabytes: whitened residuals of the histogram, static points and

@@ -10,8 +10,14 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array
 from calgraph.network.checks.moved_scanners import find_moved_scanners
 from calgraph.network.joint.error_sources import EARLIER
-from calgraph.network.joint.planar_poses import NetworkPoses, extract_planar_poses, extract_poses, lift_covariance
-from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
+from calgraph.network.joint.planar_poses import (
+    NetworkPoses,
+    ScannerPrior,
+    build_scanner_prior,
+    extract_planar_poses,
+    extract_poses,
+    lift_covariance,
+)
 from calgraph.result import Calibration, ErrorBudget, SensorPose, Verdict
 
 

@@ -13,10 +13,9 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from calgraph.geometry import Array, Index, se2
+from calgraph.geometry import Array, Index, se2, select_rows
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, TrackSamples, pair_samples, resample_tracks
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks, correct_tracks
 
@@ -49,10 +48,6 @@ class _Matches:
     def first(self) -> Index:
         """(G,) index of the first row of each group."""
         return np.flatnonzero(np.diff(self.group, prepend=-1))
-
-    def select(self, rows: NDArray[np.bool_]) -> "_Matches":
-        """Some of the rows (M,), of whole groups."""
-        return _Matches(self.x[rows], self.y[rows], self.tick[rows], self.group[rows])
 
     def squared_distances(self, T_root_scanner: Array) -> Array:
         """(M,) m²."""
@@ -135,13 +130,8 @@ def _match_positions(samples: Sequence[TrackSamples], T_root_scanner: Array, k: 
             y.append(se2.apply(T_root_scanner[j], pairs.x_b))
             tick.append(samples[k].tick[pairs.row_a])
             group.append(pairs.row_a * len(samples) + j)
-    order = np.argsort(np.concatenate(group), kind="stable")
-    return _Matches(
-        np.concatenate(x)[order],
-        np.concatenate(y)[order],
-        np.concatenate(tick)[order],
-        np.concatenate(group)[order],
-    )
+    found = _Matches(np.concatenate(x), np.concatenate(y), np.concatenate(tick), np.concatenate(group))
+    return select_rows(found, np.argsort(found.group, kind="stable"))
 
 
 # Ticks (TICK_PERIOD of pairs) within which errors of positions may depend on each other: 2 s, in which people
@@ -161,7 +151,7 @@ def _find_step(matches: _Matches, T_root_scanner: Array, scanners: int) -> _Step
     if len(np.unique(ticks // _BLOCK_TICKS)) < 2 * _MIN_BLOCKS:
         return None
     thirds = np.searchsorted([ticks[len(ticks) // 3], ticks[2 * len(ticks) // 3]], matches.tick, "right")
-    parts = [matches.select(thirds == part) for part in range(3)]
+    parts = [select_rows(matches, thirds == part) for part in range(3)]
     starts = [_fit_pose(part, T_root_scanner, _INITIAL_SCALE) for part in parts]
     steps = [
         _refine_step(matches, before.T_root_scanner, after.T_root_scanner, scanners)
@@ -190,7 +180,7 @@ def _refine_step(matches: _Matches, before: Array, after: Array, scanners: int) 
     """The step between poses near two given ones, at the most likely time; None if it is not significant."""
     for _ in range(_ROUNDS):
         begin, end = _locate_step(matches, before, after)
-        parts = matches.select(matches.tick <= begin), matches.select(matches.tick >= end)
+        parts = select_rows(matches, matches.tick <= begin), select_rows(matches, matches.tick >= end)
         if not all(map(len, parts)):
             return None
         fits = [_fit_pose(part, T, _MAX_DISTANCE) for part, T in zip(parts, (before, after), strict=True)]

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, select_rows
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, resample_tracks, to_ticks
 from calgraph.network.tracking.track import ScannerTracks
@@ -97,10 +97,6 @@ class _Part:
     ticks: NDArray[np.intp]
     """(M,) times."""
 
-    def select(self, rows: NDArray[np.bool_]) -> "_Part":
-        """Some of the samples."""
-        return _Part(self.jacobian[rows], self.differences[rows], self.group[rows], self.ticks[rows])
-
 
 def _linearize(
     names: tuple[str, str],
@@ -152,7 +148,7 @@ def _number(groups: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
 def _estimate_with_halves(part: _Part, shared: Sequence[Sequence[int]]) -> list[tuple[float, float]]:
     """Estimates and standard deviations of s, which contain the differences between halves of the recording."""
     later = part.ticks > np.median(part.ticks)
-    halves = [_estimate(part.select(rows), shared) for rows in (later, ~later)]
+    halves = [_estimate(select_rows(part, rows), shared) for rows in (later, ~later)]
     return [
         (value, float(np.hypot(sigma, (a - b) / 2)) if np.isfinite([stddev_a, stddev_b]).all() else np.inf)
         for (value, sigma), (a, stddev_a), (b, stddev_b) in zip(_estimate(part, shared), *halves, strict=True)

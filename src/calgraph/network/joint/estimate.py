@@ -14,13 +14,12 @@ from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.body_equations import update_weights
-from calgraph.network.joint.ellipses import MIN_WALKING_SPEED, EllipseObservations
-from calgraph.network.joint.heading_search import search_headings
+from calgraph.network.joint.ellipses import MIN_WALKING_SPEED, EllipseObservations, search_headings
 from calgraph.network.joint.leg_solution import SECOND_PATH_SIGMA, AddWalls, solve_legs
 from calgraph.network.joint.legs import measures_legs
 from calgraph.network.joint.model_error import estimate_model_error
 from calgraph.network.joint.path_equations import compute_smoothness_information
-from calgraph.network.joint.planar_poses import NearCovariances
+from calgraph.network.joint.planar_poses import NearCovariances, ScannerPrior
 from calgraph.network.joint.problem import (
     BodyObservations,
     BodyPath,
@@ -30,7 +29,6 @@ from calgraph.network.joint.problem import (
     WallConstraint,
 )
 from calgraph.network.joint.range_noise import estimate_range_noise
-from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.joint.scanner_unknowns import (
     CLOCK,
     FIRST_SYSTEMATIC,
@@ -369,11 +367,7 @@ def register_walls(
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body.
 
-    Args:
-        tracked: the tracks of each scanner, with its background.
-        network: with the bodies.
-        state: whose poses and systematic errors the registration starts from.
-        engine: evaluates pairs.
+    It starts from the poses and systematic errors of the state.
     """
     pairs = {
         (a.scanner, b.scanner)

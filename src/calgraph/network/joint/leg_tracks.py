@@ -98,11 +98,9 @@ def track_legs(clusters: Sequence[LegClusters], T_root_scanner: Array, clock_off
             active.keep(~old)
         _match(active, index, times[index], positions[index], sigma[index] ** 2)
     finished.extend(active.members)
-    legs = [
-        LegTrack(times[members], positions[members], sigma[members])
-        for members in (np.sort(np.array(one)) for one in finished if len(one) >= _MIN_MATCHES)
-    ]
-    legs = [_sort_by_time(leg) for leg in legs]
+    ascending = (np.sort(np.array(one)) for one in finished if len(one) >= _MIN_MATCHES)
+    ordered = (members[np.argsort(times[members], kind="stable")] for members in ascending)
+    legs = [LegTrack(times[members], positions[members], sigma[members]) for members in ordered]
     return sorted((leg for leg in legs if _is_walking(leg)), key=lambda leg: float(leg.times[0]))
 
 
@@ -148,11 +146,6 @@ def _match(active: _ActiveLegs, index: Index, times: Array, positions: Array, va
         free[columns] = False
     if free.any():
         active.add(times[free], positions[free], variance[free], _INITIAL_SPEED_SIGMA, index[free])
-
-
-def _sort_by_time(leg: LegTrack) -> LegTrack:
-    order = np.argsort(leg.times, kind="stable")
-    return LegTrack(leg.times[order], leg.positions[order], leg.sigma[order])
 
 
 # Shortest track that is used, s: a stride.

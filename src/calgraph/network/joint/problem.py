@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, Index
-from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.planar_poses import ScannerPrior
 from calgraph.network.joint.splines import Knots
 
 

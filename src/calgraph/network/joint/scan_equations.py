@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, select_rows
 from calgraph.solver.marginalization import marginalize_independent_biases
 
 
@@ -56,14 +56,11 @@ class ScanTerms:
 
     def select(self, scans: slice) -> "ScanTerms":
         """Those of some scans."""
-        equations = ScanEquations(
-            self.equations.information[scans], self.equations.gradient[scans], self.equations.cost[scans]
-        )
         return replace(
             self,
             first=self.first[scans],
             weights=self.weights[scans],
-            equations=equations,
+            equations=select_rows(self.equations, scans),
             scanner_jacobian=self.scanner_jacobian[scans],
         )
 

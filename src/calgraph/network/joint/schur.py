@@ -74,18 +74,14 @@ class BodyEquations:
         border = self.border[:, :, :B].reshape(3 * count, B)
         return np.block([[path.reshape(3 * count, -1), border], [border.T, self.corner[:B, :B]]])
 
-    def scaled_norm(self, step: Array, scanner_step: Array) -> float:
-        """Squared norm, scaled by the diagonal, of steps (3K + B,) of path and shape and (UL,) of the scanners."""
+    def predict_decrease(self, step: Array, scanner_step: Array, damping: float) -> float:
+        """Twice the decrease of the cost by damped steps (3K + B,) of path and shape and (UL,) of the scanners."""
         size = 3 * len(self.band)
         corner_step = np.concatenate([step[size:], scanner_step])
         path = np.sum(np.diagonal(self.band[:, 0], axis1=1, axis2=2) * step[:size].reshape(-1, 3) ** 2)
-        return float(path + np.diagonal(self.corner) @ corner_step**2)
-
-    def slope(self, step: Array, scanner_step: Array) -> float:
-        """Derivative of the cost along the same steps."""
-        size = 3 * len(self.band)
-        corner_step = np.concatenate([step[size:], scanner_step])
-        return float(self.gradient.ravel() @ step[:size] + self.corner_gradient @ corner_step)
+        scaled_norm = float(path + np.diagonal(self.corner) @ corner_step**2)
+        slope = float(self.gradient.ravel() @ step[:size] + self.corner_gradient @ corner_step)
+        return damping * scaled_norm - slope
 
 
 def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Array]:

@@ -19,8 +19,7 @@ from calgraph.network.joint.body_batches import BodyBatches, KeptValues
 from calgraph.network.joint.body_equations import linearize_body
 from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState, WallConstraint
-from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
-from calgraph.network.joint.scanner_order import ScannerOrder
+from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix, ScannerOrder
 from calgraph.network.joint.scanner_unknowns import (
     BEAM_ERRORS,
     CLOCK,
@@ -147,8 +146,7 @@ def list_known_pairs(network: NetworkProblem) -> Index:
 def _follow_scanners(equations: BodyEquations, scanner_step: Array, damping: float) -> tuple[Array, float]:
     """The step of path and shape after one of the scanners, and twice the predicted decrease of its cost."""
     step = substitute_back(equations, damping, scanner_step)
-    norm, slope = equations.scaled_norm(step, scanner_step), equations.slope(step, scanner_step)
-    return step, damping * norm - slope
+    return step, equations.predict_decrease(step, scanner_step, damping)
 
 
 # Information on a scanner's position about the present estimate, 1/m²: a standard deviation of 100 m keeps a
@@ -164,14 +162,7 @@ def linearize_network(
     batches: BodyBatches | None = None,
     order: ScannerOrder | None = None,
 ) -> NetworkEquations:
-    """The normal equations at a state.
-
-    Args:
-        network: the problem.
-        state: values of its unknowns.
-        batches: its bodies, where they have been placed already.
-        order: of its scanners, if it is known already.
-    """
+    """The normal equations at a state; bodies may have been placed already, and the order of scanners be known."""
     batches = batches or BodyBatches.place(network.bodies)
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
     kept = batches.keep(linearize_body, network, state)

@@ -30,7 +30,6 @@ from calgraph.network.pairs.scanner_pair import (
     FINE_MODEL_ERROR,
     MAX_EXHAUSTIVE,
     MIN_MATCHED_TIME,
-    MIN_SAMPLES,
     PROPOSAL_STDDEV,
     ROUGH_PAIRS,
     SAME_ANGLE,
@@ -230,10 +229,10 @@ def _select_starts(
         pairs = pair_samples(a.samples, moved.samples)
         if len(np.unique(pairs.row_a)) < to_ticks(MIN_MATCHED_TIME):
             continue
-        T = propose_poses(subsample_pairs(pairs, _PAIRS, MIN_SAMPLES), rng, _PROPOSALS)
-        rough = subsample_pairs(pairs, ROUGH_PAIRS, MIN_SAMPLES)
+        T = propose_poses(subsample_pairs(pairs, _PAIRS), rng, _PROPOSALS)
+        rough = subsample_pairs(pairs, ROUGH_PAIRS)
         T = T[~miss_detections(T, a, moved, rough, len(pairs), PROPOSAL_STDDEV)]
-        coarse = subsample_pairs(pairs, COARSE_PAIRS, MIN_SAMPLES)
+        coarse = subsample_pairs(pairs, COARSE_PAIRS)
         costs = compute_pose_costs(T, coarse, PROPOSAL_STDDEV)
         candidates += [(float(costs[k]), delay, T[k]) for k in np.argsort(costs)[:_REGISTERED]]
     starts: list[tuple[int, Array]] = []
@@ -260,7 +259,7 @@ def _register(
         pairs = pair_samples(a.samples, moved.samples)
         if not len(pairs):
             return None
-        sampled = subsample_pairs(pairs, _PAIRS, MIN_SAMPLES)
+        sampled = subsample_pairs(pairs, _PAIRS)
         of_rest = NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV, -delay * TICK_PERIOD)
         fit = register_tracks(T_a_b, sampled, model_error, of_rest)
         if fit is None:

@@ -139,19 +139,18 @@ def is_credible(h: PoseHypothesis, min_observations: int) -> bool:
     )
 
 
-def subsample_pairs(pairs: SimultaneousPairs, wanted: int, min_samples: int) -> SimultaneousPairs:
+# Samples of a that subsampling leaves at least.
+_MIN_SAMPLES = 20
+
+
+def subsample_pairs(pairs: SimultaneousPairs, wanted: int) -> SimultaneousPairs:
     """Selects every n-th tick to leave about ``wanted`` pairs; all pairs if too few samples would be left."""
     step = max(1, round(len(pairs) / wanted))
     subsampled = pair_samples(pairs.a.subsample(step), pairs.b.subsample(step))
-    return subsampled if len(np.unique(subsampled.row_a)) >= min_samples else pairs
+    return subsampled if len(np.unique(subsampled.row_a)) >= _MIN_SAMPLES else pairs
 
 
-def select_distinct(T: Array, cost: Array, count: int, position: float, angle: float) -> Array:
-    """Selects up to ``count`` poses (n, 3, 3) of least cost (K,); see :func:`select_distinct_rows`."""
-    return np.asarray(T[select_distinct_rows(T, cost, count, position, angle)])
-
-
-def select_distinct_rows(T: Array, cost: Array, count: int, position: float, angle: float) -> list[int]:
+def select_distinct(T: Array, cost: Array, count: int, position: float, angle: float) -> list[int]:
     """Rows of up to ``count`` poses (K, 3, 3) of least cost (K,) that differ from each other, m or rad."""
     kept: list[int] = []
     for i in np.argsort(cost, kind="stable").tolist():

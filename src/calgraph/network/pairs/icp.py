@@ -60,6 +60,12 @@ class _SurfacePoints:
         return cKDTree(self.points)
 
 
+# Distance between neighbours on one wall, m, up to which they are connected.
+_MAX_NEIGHBOUR_DISTANCE = 0.15
+# The same as a fraction of their range: half a degree at 10 degrees of incidence.
+_MAX_NEIGHBOUR_RATIO = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class StaticBackground:
     """Static background of a scanner, shared by all its pairs."""
@@ -69,8 +75,11 @@ class StaticBackground:
 
     @cached_property
     def oriented_points(self) -> _SurfacePoints:
-        """The points on lines, with normals."""
-        return _fit_lines(self.points)
+        """The points whose neighbours in order of angle lie on a line, with normals."""
+        max_gap = np.maximum(_MAX_NEIGHBOUR_DISTANCE, _MAX_NEIGHBOUR_RATIO * np.linalg.norm(self.points, axis=1))
+        normals = fit_local_lines(self.points, max_gap)
+        straight = np.isfinite(normals[:, 0])
+        return _SurfacePoints(self.points[straight], normals[straight])
 
 
 # Minimum number of matches: a wall of 1 m at 2 m and one degree.
@@ -171,20 +180,6 @@ def align_backgrounds(
     by_errors = _differentiate_by_beam_errors(T, a, b, matches, noise2, _FINAL_DISTANCE)
     by_errors = -scale[:, None] * (directions @ ((directions.T @ (scale[:, None] * by_errors)) / values[:, None]))
     return IcpResult(T, information, by_errors)
-
-
-# Distance between neighbours on one wall, m, up to which they are connected.
-_MAX_NEIGHBOUR_DISTANCE = 0.15
-# The same as a fraction of their range: half a degree at 10 degrees of incidence.
-_MAX_NEIGHBOUR_RATIO = 0.05
-
-
-def _fit_lines(background: Array) -> _SurfacePoints:
-    """Selects the points of (N, 2) whose neighbours in order of angle lie on a line, and fits their normals."""
-    max_gap = np.maximum(_MAX_NEIGHBOUR_DISTANCE, _MAX_NEIGHBOUR_RATIO * np.linalg.norm(background, axis=1))
-    normals = fit_local_lines(background, max_gap)
-    straight = np.isfinite(normals[:, 0])
-    return _SurfacePoints(background[straight], normals[straight])
 
 
 _Matches = tuple[NDArray[np.intp], NDArray[np.intp]]

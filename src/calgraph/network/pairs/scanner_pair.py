@@ -7,9 +7,8 @@ periods. Its truncation at the scanner's range, which mixes metres with Mahalano
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,6 @@ from calgraph.network.pairs.hypothesis_evidence import (
     is_credible,
     propose_poses,
     select_distinct,
-    select_distinct_rows,
     subsample_pairs,
 )
 from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
@@ -198,7 +196,11 @@ def _estimate_candidates(
         pairs = sorted(wanted)
         # Random numbers of a pair do not depend on the other pairs.
         generators = [np.random.default_rng((seed, *ends)) for ends in pairs]
-        report = partial(_report_round, progress, rounds)
+
+        def report(done: float, left: float = 0.5**rounds) -> None:
+            # Each round takes half of what is left; their number is not known before the last.
+            progress(1 - left * (1 - done / 2))
+
         found = dict(zip(pairs, batch.estimate(pairs, generators, report), strict=True))
         tried |= found
         registered = {ends: pair for ends, pair in found.items() if isinstance(pair, ScannerPairEstimate)}
@@ -221,11 +223,6 @@ def _estimate_candidates(
         wanted = implied or select_separated_pairs(similarity, sure, tried)
     progress(1.0)
     return tried
-
-
-def _report_round(progress: Callable[[float], None], rounds: int, done: float) -> None:
-    """Reports that each round takes half of what is left; their number is not known before the last."""
-    progress(1 - 0.5**rounds * (1 - done / 2))
 
 
 # Minimum duration of matches, s: two steps of a person, which determine position and direction.
@@ -252,8 +249,7 @@ ROUGH_PAIRS = 300
 COARSE_PAIRS = 1200
 # Simultaneous pairs on which the best hypotheses are registered; bounds the time.
 _FINE_PAIRS = 6000
-# Samples of a that subsampling leaves at least.
-MIN_SAMPLES = 20
+
 # Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m.
 PROPOSAL_STDDEV = 0.3
 # Proposals that are registered coarsely: with fewer, correct ones are lost in crowds.
@@ -262,6 +258,8 @@ _COARSE_COUNT = 6
 SAME_POSITION = 0.5
 # Angle below which two hypotheses are one if their distance is, too, rad (8 degrees).
 SAME_ANGLE = float(np.radians(8))
+# Hypotheses of a pair that are kept at most.
+_MAX_COUNT = 6
 # Minimum ratio of a hypothesis's evidence to the best one's: alternatives below it are not kept.
 _MIN_SCORE_RATIO = 0.4
 # Hypotheses that are registered finely, and kept at most.
@@ -295,23 +293,23 @@ def _evaluate_hypotheses(
         return proposals
     pairs = pair_samples(a.observations.samples, b.observations.samples)
     wanted = ROUGH_PAIRS, COARSE_PAIRS, _FINE_PAIRS
-    rough, coarse, fine = (subsample_pairs(pairs, count, MIN_SAMPLES) for count in wanted)
+    rough, coarse, fine = (subsample_pairs(pairs, count) for count in wanted)
 
     def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
         return miss_detections(poses, a.observations, b.observations, subsampled, len(pairs), pose_error)
 
-    def register(T: Array, subsampled: SimultaneousPairs, model_error: float) -> TrackRegistration | None:
-        return register_tracks(T, subsampled, model_error, prior)
+    def register(T: Iterable[Array], subsampled: SimultaneousPairs, error: float) -> list[TrackRegistration]:
+        fits = (register_tracks(one, subsampled, error, prior) for one in T)
+        return [fit for fit in fits if fit]
+
+    def select_possible(fits: list[TrackRegistration], subsampled: SimultaneousPairs) -> list[TrackRegistration]:
+        refuted = contradict(_stack_poses(fits), subsampled, 0.0)
+        return [fit for fit, wrong in zip(fits, refuted, strict=True) if not wrong]
 
     proposals = proposals[~contradict(proposals, rough, PROPOSAL_STDDEV)]
     costs = compute_pose_costs(proposals, coarse, PROPOSAL_STDDEV)
-    registrations = [
-        fit
-        for T in select_distinct(proposals, costs, _COARSE_COUNT, SAME_POSITION, SAME_ANGLE)
-        if (fit := register(T, coarse, MAX_MODEL_ERROR))
-    ]
-    refuted = contradict(_stack_poses(registrations), coarse, 0.0)
-    registrations = [fit for fit, wrong in zip(registrations, refuted, strict=True) if not wrong]
+    distinct = proposals[select_distinct(proposals, costs, _COARSE_COUNT, SAME_POSITION, SAME_ANGLE)]
+    registrations = select_possible(register(distinct, coarse, MAX_MODEL_ERROR), coarse)
     if not registrations:
         return Rejected("under every proposed pose, one does not detect what the other tracks in its view")
     counts = np.array([len(fit.matches) for fit in registrations])
@@ -321,23 +319,18 @@ def _evaluate_hypotheses(
     promising &= counts * shares >= _MIN_SCORE_RATIO * np.max(counts * shares)
     poses = _stack_poses(registrations)[promising]
     scores = (counts * shares)[promising]
-    poses = select_distinct(poses, -scores, _FINE_COUNT, SAME_POSITION, SAME_ANGLE)
-    hypotheses = [
-        build_hypothesis(fit, fine, *samples, len(pairs), prior)
-        for T in poses
-        if (fit := register(T, fine, FINE_MODEL_ERROR))
-    ]
+    distinct = poses[select_distinct(poses, -scores, _FINE_COUNT, SAME_POSITION, SAME_ANGLE)]
+    fits = register(distinct, fine, FINE_MODEL_ERROR)
+    hypotheses = [build_hypothesis(fit, fine, *samples, len(pairs), prior) for fit in fits]
     least = to_ticks(MIN_MATCHED_TIME)
     kept = [h for h in hypotheses if is_credible(h, least)]
     best = max((h.weight_of_evidence() for h in kept), default=np.inf)
     if best < _UNAMBIGUOUS_EVIDENCE:
         # Registrations that start with a large model error settle between the two people of a couple.
         costs = compute_pose_costs(proposals, coarse, _COUPLE_STDDEV)
-        distinct = select_distinct(proposals, costs, _COUPLE_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)
-        fits = [fit for T in distinct if (fit := register(T, coarse, _COUPLE_STDDEV))]
-        fits = [fine_fit for fit in fits if (fine_fit := register(fit.T_a_b, fine, _COUPLE_STDDEV))]
-        refuted = contradict(_stack_poses(fits), fine, 0.0)
-        fits = [fit for fit, wrong in zip(fits, refuted, strict=True) if not wrong]
+        distinct = proposals[select_distinct(proposals, costs, _COUPLE_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)]
+        fits = register(distinct, coarse, _COUPLE_STDDEV)
+        fits = select_possible(register((fit.T_a_b for fit in fits), fine, _COUPLE_STDDEV), fine)
         others = [build_hypothesis(fit, fine, *samples, len(pairs), prior) for fit in fits]
         kept += [h for h in others if is_credible(h, least)]
     if not kept:
@@ -346,22 +339,14 @@ def _evaluate_hypotheses(
             f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
             "similar trajectories explain as well"
         )
-    kept = _select_hypotheses(kept)
+    # Those of comparable evidence that differ from each other, best first.
+    evidence = np.array([h.weight_of_evidence() for h in kept])
+    T = np.array([h.T_a_b for h in kept])
+    distinct_rows = select_distinct(T, -evidence, _MAX_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)
+    kept = [kept[k] for k in distinct_rows if evidence[k] >= _MIN_SCORE_RATIO * evidence.max()]
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
-
-
-# Hypotheses of a pair that are kept at most.
-_MAX_COUNT = 6
-
-
-def _select_hypotheses(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
-    """Those of comparable evidence that differ from each other, best first."""
-    evidence = np.array([h.weight_of_evidence() for h in hypotheses])
-    T = np.array([h.T_a_b for h in hypotheses])
-    kept = select_distinct_rows(T, -evidence, _MAX_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)
-    return [hypotheses[k] for k in kept if evidence[k] >= _MIN_SCORE_RATIO * evidence.max()]
 
 
 def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, select_rows
 from calgraph.network.tracking.track import ScannerTracks, Track
 
 # Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Matches, expected
@@ -62,14 +62,7 @@ class TrackSamples:
 
     def subsample(self, step: int) -> "TrackSamples":
         """Selects every ``step``-th tick."""
-        kept = self.tick % step == 0
-        return TrackSamples(
-            self.tick[kept],
-            self.trajectory[kept],
-            self.positions[kept],
-            self.velocities[kept],
-            self.covariances[kept],
-        )
+        return select_rows(self, self.tick % step == 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, join_rows, select_rows
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, to_ticks
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
@@ -84,10 +84,8 @@ def compute_track_similarity(
         of_b = _cut_stretches(moved, np.asarray(compared.any(axis=0)), origin)
         common = [(of_a[block], of_b[block]) for block in sorted(of_a.keys() & of_b.keys())]
         for first, end in _split_scanners(common, count):
-            found = [_align_trajectories(a, b, first, end, compared) for a, b in common]
-            columns = zip(*(vars(one).values() for one in found), strict=True)
-            alignments = _Alignments(*map(np.concatenate, columns))
-            pairs, votes = _count_votes(alignments)
+            found = join_rows(_align_trajectories(a, b, first, end, compared) for a, b in common)
+            pairs, votes = _count_votes(found)
             a, b = pairs // count, pairs % count
             similarity[a, b] = np.maximum(similarity[a, b], votes)
     return np.maximum(similarity, similarity.T)
@@ -176,7 +174,7 @@ def _align_trajectories(
     pair = scanner_a[a] * len(compared) + scanner_b[b]
     score = extent / (rms + NOISE)
     columns = pair, np.angle(product), center_a, center_b, weight, score
-    return _Alignments(*(column[kept] for column in columns))
+    return select_rows(_Alignments(*columns), kept)
 
 
 def _find_least_kept(weights: Array) -> Array:

@@ -115,13 +115,11 @@ def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> Visib
     detected = convolve(counts, np.ones((3, 3)), mode="constant") >= _MIN_DETECTIONS
     visible = within.reshape(counts.shape) | detected
     visible[[0, -1]] = visible[:, [0, -1]] = False
-    coverage = _sampled_interval(samples) if tracked.coverage is None else tracked.coverage
+    coverage = tracked.coverage
+    if coverage is None:
+        # From the first to the last sample.
+        coverage = samples.times[[0, -1]][None] if len(samples.tick) else np.zeros((0, 2))
     return VisibilityMap(visible, coverage)
-
-
-def _sampled_interval(samples: TrackSamples) -> Array:
-    """The interval (1, 2) from the first to the last sample, s; (0, 2) without samples."""
-    return samples.times[[0, -1]][None] if len(samples.tick) else np.zeros((0, 2))
 
 
 def is_free_space(background: Array, x: Array, margin: float, max_beam_gap: float) -> Flags:

@@ -27,7 +27,7 @@ from calgraph.result import Calibration, Evidence, FitError, FloorView, Pictures
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.solver.connected_parts import label_parts
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, expand_covariance
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
 _ADVICE = "let people walk farther and in more directions between {} and {}"
@@ -235,9 +235,7 @@ def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Ar
         covariance: (P, P) of their free states.
         T_root_world: (4, 4) its world in the frame of the root.
     """
-    S = len(solution.states)
-    whole = np.zeros((solution.free.size,) * 2)
-    whole[np.ix_(*[np.flatnonzero(solution.free)] * 2)] = covariance
+    S, whole = len(solution.states), expand_covariance(covariance, solution.free)
     numbers = np.arange(solution.free.size).reshape(S, -1)
     pose = numbers[:, :6].ravel()
     turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import TrackingSettings
-from calgraph.geometry import Array, Index, se3
+from calgraph.geometry import Array, se3
 from calgraph.network.space.bodies import Bodies
 from calgraph.network.space.observations import BodyTrack, SpaceObservations
 from calgraph.network.tracking.association import associate
@@ -34,7 +34,12 @@ def track_bodies(bodies: Bodies, T_floor_sensor: Array, settings: TrackingSettin
     """Tracks of what moves, cut where another body is near."""
     if not len(bodies.sweep):
         return ()
-    objects = _to_clusters(bodies.centers[:, :2], bodies.times, bodies.sweep)
+    # As clusters of one point each, which are associated.
+    count = len(bodies.times)
+    objects = Clusters(
+        bodies.centers[:, :2], np.arange(count), np.ones(count, dtype=np.intp), bodies.sweep, bodies.times,
+        bodies.times, np.zeros(count), np.zeros(count, dtype=np.bool_),
+    )  # fmt: skip
     identities = [
         members
         for members in associate(objects, _CENTER_STDDEV, settings.acceleration_density)
@@ -57,20 +62,14 @@ def track_bodies(bodies: Bodies, T_floor_sensor: Array, settings: TrackingSettin
 
 def to_scanner_tracks(observations: SpaceObservations, settings: TrackingSettings) -> ScannerTracks:
     """The tracks in the levelled plane, at the axes of bodies, and walls, as those of a planar scanner there."""
-    T = observations.T_floor_sensor
-    tracks = [(track, _to_axes(se3.apply(T, track.centers)[:, :2])) for track in observations.tracks]
+    tracks = []
+    for track in observations.tracks:
+        centers = se3.apply(observations.T_floor_sensor, track.centers)[:, :2]
+        distance = np.linalg.norm(centers, axis=1, keepdims=True)
+        tracks.append((track, centers * (1 + _BODY_RADIUS / np.maximum(distance, _BODY_RADIUS))))
     smoothed = _smooth(tracks, settings)
     walls, stddev = _outline_walls(observations)
     return ScannerTracks(smoothed, walls, stddev, observations.coverage)
-
-
-def _to_clusters(centers: Array, times: Array, sweep: Index) -> Clusters:
-    """Bodies as clusters of one point each, which associates them."""
-    count = len(centers)
-    return Clusters(
-        centers, np.arange(count), np.ones(count, dtype=np.intp), sweep, times, times,
-        np.zeros(count), np.zeros(count, dtype=np.bool_),
-    )  # fmt: skip
 
 
 def _cut(members: NDArray[np.intp], bodies: Bodies) -> list[NDArray[np.intp]]:
@@ -80,19 +79,9 @@ def _cut(members: NDArray[np.intp], bodies: Bodies) -> list[NDArray[np.intp]]:
     members, met = members[keep], met[keep]
     breaks = (np.diff(met) > 0) | (np.diff(bodies.times[members]) > _MAX_GAP)
     ascending = np.diff(bodies.times[members], prepend=-np.inf) > 0
-    return [part[ascending[k]] for part, k in _split(members, breaks) if len(part)]
-
-
-def _split(
-    members: NDArray[np.intp], breaks: NDArray[np.bool_]
-) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     cuts = np.flatnonzero(breaks) + 1
-    return list(zip(np.split(members, cuts), np.split(np.arange(len(members)), cuts), strict=True))
-
-
-def _to_axes(centers: Array) -> Array:
-    distance = np.linalg.norm(centers, axis=1, keepdims=True)
-    return np.asarray(centers * (1 + _BODY_RADIUS / np.maximum(distance, _BODY_RADIUS)))
+    parts = zip(np.split(members, cuts), np.split(ascending, cuts), strict=True)
+    return [part[later] for part, later in parts if len(part)]
 
 
 def _smooth(tracks: Sequence[tuple[BodyTrack, Array]], settings: TrackingSettings) -> tuple[Track, ...]:

@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se_n
-from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.planar_poses import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.person_batches import (
+from calgraph.network.space.person_paths import (
+    BodyNoise,
     LocalPerson,
     PeopleEquations,
+    PersonEquations,
     add_persons,
+    expect_shapes,
     reduce_persons,
     release_periods,
 )
-from calgraph.network.space.person_paths import BodyNoise, PersonEquations, expect_shapes
 from calgraph.network.space.persons import find_persons, gather_samples
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
@@ -37,7 +39,7 @@ from calgraph.solver.clustered_covariance import (
     sum_clusters,
     widen_by_clusters,
 )
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
+from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, measure_deviations, move_states, number_free
 from calgraph.surfaces.surface_elimination import NoiseModel
 from calgraph.verdict.state_changes import PERIOD, Change, find_changes
 
@@ -74,7 +76,6 @@ class SpaceSolution:
     shared: SharedSurfaces
     noise: NoiseModel
     """Of static points."""
-    body_noise: BodyNoise
     body: Array
     """(6B,) means of the shapes of bodies."""
     agreement: Array
@@ -115,7 +116,8 @@ def solve_space(
     samples = gather_samples(observations)
     points = [thin_points(one.static.points, one.flat) for one in observations]
     noise = NoiseModel.at_start(len(states))
-    body_noise, body = _start_body_noise(int(flat.sum())), expected
+    views = [lidars if k == 0 else scanner for lidars, scanner in _START_VIEWS for k in range(1 + int(flat.sum()))]
+    body_noise, body = BodyNoise(np.ones(len(views)), np.array(views)), expected
     persons: list[LocalPerson] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
@@ -125,15 +127,13 @@ def solve_space(
         people = add_persons(persons, reduced, free, len(body))
         surfaces = reduce_surfaces(shared, states, noise, free)
         H = people.information + np.diag(information)
-        g = people.gradient + np.append(_deviate(states, start)[free], body - expected) * information
+        g = people.gradient + np.append(measure_deviations(states, start)[free], body - expected) * information
         H[:count, :count] += surfaces.information
         g[:count] += surfaces.gradient
         if earlier is not None:
             _add_poses(earlier, states, free, H, g)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
-        full = np.zeros(free.shape)
-        full[free] = step[:count]
-        states = [state.moved(one) for state, one in zip(states, full, strict=True)]
+        states = move_states(states, free, step[:count])
         body = body + step[count:]
         body_noise, noise = _estimate_body_noise(reduced, body_noise), noise.estimated_again([surfaces])
         progress((k + 1) / len(_PERSON_GATES))
@@ -148,7 +148,7 @@ def solve_space(
     changes: list[Change] = []
     begin = 0.0
     if persons:
-        left = np.append(_deviate(states, start)[free], body - expected) * information
+        left = np.append(measure_deviations(states, start)[free], body - expected) * information
         if earlier is not None:
             _add_poses(earlier, states, free, np.zeros_like(H), left)
         equations, ends = release_periods(persons, states, body_noise, body, (information, left), free, surfaces)
@@ -157,7 +157,7 @@ def solve_space(
         begin = float(ends[0] - PERIOD)
     return SpaceSolution(
         states, free, covariance, _condition_on_ranges(covariance, free),
-        persons, people, shared, noise, body_noise, body,
+        persons, people, shared, noise, body,
         agreement=agreement,
         balance=balance,
         changes=changes,
@@ -183,18 +183,9 @@ def _add_poses(
 ) -> None:
     """Adds what is known of poses to the equations of free states (S, 12), in place."""
     T = np.reshape([states[k].T_root_sensor for k in earlier.nodes], (-1, 4, 4))
-    rows = (np.cumsum(free.ravel()).reshape(free.shape) - 1)[earlier.nodes, :6].ravel()
+    rows = number_free(free)[earlier.nodes, :6].ravel()
     H[np.ix_(rows, rows)] += earlier.information
     g[rows] += earlier.information @ se_n.difference(T, earlier.T_root_scanner).ravel()
-
-
-def _deviate(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
-    return np.array([state.deviation_from(first) for state, first in zip(states, start, strict=True)])
-
-
-def _start_body_noise(scanners: int) -> BodyNoise:
-    views = [lidars if k == 0 else scanner for lidars, scanner in _START_VIEWS for k in range(1 + scanners)]
-    return BodyNoise(np.ones(len(views)), np.array(views))
 
 
 def _estimate_body_noise(persons: Sequence[PersonEquations], noise: BodyNoise) -> BodyNoise:

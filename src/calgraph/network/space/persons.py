@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.geometry import Array, Index, se_n
+from calgraph.geometry import Array, Index, se_n, select_rows
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
@@ -40,13 +40,6 @@ class BodySamples:
     """(N, 2) radial and tangential, first guesses, m."""
     band: Index
     """(N,) which slice of bodies: 0 are upper bodies, which 3-D LiDARs measure; each 2-D scanner has its own."""
-
-    def select(self, rows: Index) -> "BodySamples":
-        """Some of them."""
-        return BodySamples(
-            self.sensor[rows], self.track[rows], self.time[rows], self.center[rows], self.stddev[rows],
-            self.band[rows],
-        )  # fmt: skip
 
 
 def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
@@ -127,7 +120,7 @@ def find_persons(samples: BodySamples, states: Sequence[SensorState], gate: floa
         breaks = (np.diff(times[rows]) > _MAX_GAP) | (np.diff(stay) > 0)
         for part in np.split(rows, np.flatnonzero(breaks) + 1):
             if np.ptp(times[part]) >= _MIN_COMMON and len(np.unique(samples.sensor[part])) > 1:
-                found.append(samples.select(part))
+                found.append(select_rows(samples, part))
     return found
 
 

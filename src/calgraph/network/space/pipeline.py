@@ -11,8 +11,7 @@ from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_with_earlier
 from calgraph.network.checks.findings import collect_network_findings
-from calgraph.network.joint.planar_poses import NetworkPoses
-from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.planar_poses import NetworkPoses, ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.assemble import SpaceResult, assemble_space, express_in_root
 from calgraph.network.space.bodies import find_bodies
@@ -259,17 +258,7 @@ def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
 def observe_clouds(
     splitter: CloudSplitter, spec: Lidar3dSpec, settings: TrackingSettings, rng: np.random.Generator
 ) -> SpaceObservations | Rejected:
-    """What a stationary LiDAR measured.
-
-    Args:
-        splitter: that all its clouds were added to.
-        spec: of the sensor, for the errors of its ranges.
-        settings: of tracking.
-        rng: of the search for the floor.
-
-    Returns:
-        Floor, static points and tracks, or why there are none.
-    """
+    """The floor, static points and tracks that a stationary LiDAR measured, or why there are none."""
     split = splitter.finish()
     if split is None:
         return Rejected("no cloud has any point")

@@ -143,7 +143,7 @@ def start_in_space(
         complete[name] = replace(complete[name], background=correct_tracks(one, inverted=inverted).background)
     states = {
         name: SensorState(
-            lift_pose(start.solution.T_root_node[node], observed[name]),
+            np.asarray(se2.to_se3(start.solution.T_root_node[node]) @ observed[name].T_floor_sensor),
             corrected.clock_offset.get(name, 0.0) + float(clocks[node]),
         )
         for node, name in enumerate(start.names)
@@ -154,8 +154,3 @@ def start_in_space(
         if name in states:
             states[name], observed[name] = stand_on_floor(states[name], observed[name], lidars)
     return SpaceStart(observed, replace(corrected, tracked=complete), start, states)
-
-
-def lift_pose(T_plane_sensor: Array, observed: SpaceObservations) -> Array:
-    """The pose (4, 4) in a levelled frame of a sensor whose pose (3, 3) in the plane is known."""
-    return np.asarray(se2.to_se3(T_plane_sensor) @ observed.T_floor_sensor)

@@ -8,7 +8,6 @@ the range of a point p on a plane with normal n, along the beam u, changes by ``
 Least squares over all directions give t and r, with the weights of Student's t for what moved itself.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.special import chdtri
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, join_rows, select_rows
 from calgraph.network.space.observations import StaticPoints, StaticStep
 from calgraph.sensors import PointCloud
 from calgraph.solver.clustered_covariance import SCATTER_FACTOR
@@ -173,16 +172,6 @@ class _Part:
     bin: NDArray[np.int32]
     """Of the range."""
 
-    def select(self, rows: NDArray[np.bool_]) -> "_Part":
-        """Some of the points."""
-        return _Part(self.points[rows], self.times[rows], self.sweep[rows], self.slot[rows], self.bin[rows])
-
-
-def _join(parts: Sequence[_Part]) -> _Part:
-    return _Part(
-        *(np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True))
-    )
-
 
 class CloudSplitter:
     """Splits clouds, added in any order, in static and moving points; holds few of them at a time."""
@@ -226,8 +215,8 @@ class CloudSplitter:
         if not self._spans:
             return None
         self._split_held()
-        moving = _join(self._candidates)
-        moving = moving.select(_find_moving(self._histogram, _STATIC_SHARE)[moving.slot, moving.bin])
+        moving = join_rows(self._candidates)
+        moving = select_rows(moving, _find_moving(self._histogram, _STATIC_SHARE)[moving.slot, moving.bin])
         stamps, first, last = np.array(self._spans).T
         order = np.lexsort((moving.times, stamps[moving.sweep]))
         rank = np.empty(len(stamps), dtype=np.intp)
@@ -251,11 +240,11 @@ class CloudSplitter:
         """Counts and averages the points that are held, and keeps those that may move."""
         if not self._held:
             return
-        part = _join(self._held)
+        part = join_rows(self._held)
         self._held = []
         slots = len(self._cells)
         grown = slots - len(self._mode)
-        counted = part.select(part.sweep % _COUNTED == 0)
+        counted = select_rows(part, part.sweep % _COUNTED == 0)
         flat = counted.slot.astype(np.int64) * _BINS + counted.bin
         counts = np.bincount(flat, minlength=slots * _BINS).reshape(slots, _BINS)
         self._histogram = np.pad(self._histogram, ((0, grown), (0, 0))) + counts.astype(np.int32)
@@ -264,7 +253,7 @@ class CloudSplitter:
         changed = np.abs(mode - np.pad(self._mode, (0, grown))) > 1
         self._mode = np.where(changed, mode, np.pad(self._mode, (0, grown)))
         self._sums[changed] = 0
-        near = counted.select(np.abs(counted.bin - self._mode[counted.slot]) <= 1)
+        near = select_rows(counted, np.abs(counted.bin - self._mode[counted.slot]) <= 1)
         square = np.einsum("ij,ij->i", near.points, near.points, dtype=np.float64)
         for k, value in enumerate((None, *near.points.T, np.sqrt(square), square)):
             self._sums[:, k] += np.bincount(near.slot, value, minlength=slots)
@@ -277,7 +266,7 @@ class CloudSplitter:
             counted_by = np.bincount(cell, value, minlength=periods * slots)
             self._by_period[..., k] += counted_by.reshape(periods, slots)
         moving = _find_moving(self._histogram, _SURE_SHARE)
-        self._candidates.append(part.select(moving[part.slot, part.bin]))
+        self._candidates.append(select_rows(part, moving[part.slot, part.bin]))
 
     def _average(self) -> tuple[StaticPoints, Array, NDArray[np.bool_]]:
         """Static points; of each slot (S,) the static range, m, inf where nothing stands still, and if it does."""

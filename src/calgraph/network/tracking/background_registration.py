@@ -155,18 +155,14 @@ def _register_part(reference: ReferenceScan, ranges: Array, noise: float) -> Win
     points = to_points(reference.angles[chosen], ranges[:, chosen])
     at_rest = np.zeros((len(ranges), 3))
     found = _refine(reference, points, at_rest, noise, AGREEMENT_SIGMAS * noise)
-    for guess in (_guess_rest, _search_rotations):
+    for searched in (False, True):
         poor = np.flatnonzero(found.agreement < _SETTLED_AGREEMENT)
         if len(poor):
-            initial = guess(reference, ranges[poor])
+            initial = _search_rotations(reference, ranges[poor]) if searched else np.zeros((len(poor), 3))
             again = _refine(reference, points[poor], initial, noise, INITIAL_SCALE)
             better = again.agreeing > found.agreeing[poor]
             found = _replace(found, again, poor, better)
     return found
-
-
-def _guess_rest(_reference: ReferenceScan, ranges: Array) -> Array:
-    return np.zeros((len(ranges), 3))
 
 
 def _replace(found: WindowPoses, again: WindowPoses, windows: Index, better: NDArray[np.bool_]) -> WindowPoses:

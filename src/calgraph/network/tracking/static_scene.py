@@ -56,8 +56,8 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     ranges = np.concatenate([align_ranges(angles, run.angles, run.read(np.arange(len(run)))) for run in kept])
     nearest, usual, single = _static_depths(ranges)
     off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
-    spread = _robust_spread(off)
-    mean_range = usual + find_column_medians(off)
+    medians = find_column_medians(off)
+    spread, mean_range = STDDEV_PER_MAD * find_column_medians(np.abs(off - medians)), usual + medians
     margin = np.maximum(_MARGIN, _MARGIN_SIGMAS * np.where(np.isfinite(spread), spread, 0.0))
     clean = single & np.isfinite(mean_range)
     points = np.stack([mean_range * np.cos(angles), mean_range * np.sin(angles)], axis=-1)
@@ -123,11 +123,6 @@ def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     usual = np.where(any_static, depths[np.argmax(np.where(static, total_hits, -1), axis=0)], np.nan)
     farthest = depths[len(depths) - 1 - np.argmax(static[::-1], axis=0)] - depth_bin
     return nearest, usual, any_static & (farthest - nearest < 2 * depth_bin)
-
-
-def _robust_spread(values: Array) -> Array:
-    """Standard deviation of each column of (S, B) by its median absolute deviation; NaN where it is empty."""
-    return STDDEV_PER_MAD * find_column_medians(np.abs(values - find_column_medians(values)))
 
 
 # Neighbouring static points on one surface are at most this far apart, m, plus the spacing below: legs of

@@ -130,17 +130,14 @@ def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverte
     signs = np.array([1.0, -1.0 if inverted else 1.0])
     # Static points are in order of angle, which mirroring reverses.
     background = tracked.background[::-1] if inverted else tracked.background
+    beams = tracked.foreground
     return replace(
         tracked,
         tracks=tuple(_correct_track(track, clock_offset, signs) for track in tracked.tracks),
         background=background * signs,
         coverage=None if tracked.coverage is None else tracked.coverage - clock_offset,
-        foreground=tracked.foreground and _correct_foreground(tracked.foreground, clock_offset, signs),
+        foreground=beams and replace(beams, angles=beams.angles * signs[1], times=beams.times - clock_offset),
     )
-
-
-def _correct_foreground(foreground: Foreground, clock_offset: float, signs: Array) -> Foreground:
-    return replace(foreground, angles=foreground.angles * signs[1], times=foreground.times - clock_offset)
 
 
 def _correct_track(track: Track, clock_offset: float, signs: Array) -> Track:
