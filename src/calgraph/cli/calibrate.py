@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calgraph.cli.common_options import (
-    EARLIER,
     RESULT_FILES,
-    TUNING,
     ClusterOption,
     EstimatorChoice,
     ForceOption,
@@ -23,8 +21,10 @@ from calgraph.cli.common_options import (
     StrictOption,
     WholeJson,
     check_not_overwriting,
+    earlier,
     list_choices,
     open_engine,
+    tuning,
 )
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, list_prior_files, read_priors
 from calgraph.cli.setting_options import SetOption, load_rig_with
@@ -58,28 +58,18 @@ def calibrate(
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
     extend: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OLD", help="People: combine with this earlier calibration.yaml.", rich_help_panel=EARLIER
-        ),
+        Path | None, earlier(metavar="OLD", help="People: combine with this earlier calibration.yaml.")
     ] = None,
     moved: Annotated[
         list[str] | None,
-        typer.Option(
+        earlier(
             metavar="NAME",
             help="People: scanner that has moved since OLD, whose pose is estimated again; repeatable.",
-            rich_help_panel=EARLIER,
         ),
     ] = None,
     overrides: SetOption = None,
     folds: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Board: number of folds of the cross-validation; 0: none.",
-            rich_help_panel=TUNING,
-        ),
+        int, tuning(min=0, metavar="N", help="Board: number of folds of the cross-validation; 0: none.")
     ] = 5,
     seed: SeedOption = 0,
     jobs: JobsOption = None,
@@ -87,19 +77,14 @@ def calibrate(
     no_cache: NoCacheOption = False,
     dump: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Board: write the input of the joint solution to FILE, for calgraph solve.",
-            rich_help_panel=TUNING,
-        ),
+        tuning(metavar="FILE", help="Board: write the input of the joint solution to FILE, for calgraph solve."),
     ] = None,
     estimator: Annotated[
         EstimatorChoice,
-        typer.Option(
+        tuning(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
             help="calgraph's method, or all of the paper's; single steps of either: --set published.KEY=VALUE.",
-            rich_help_panel=TUNING,
         ),
     ] = "joint",
 ) -> None:

@@ -5,9 +5,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from calgraph.cli.common_options import TUNING
+from calgraph.cli.common_options import tuning
 from calgraph.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,12 +36,11 @@ def _complete(incomplete: str) -> list[str]:
 
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
+    tuning(
         "--set",
         metavar="KEY=VALUE",
         autocompletion=_complete,
         help="Override a setting, such as captures.min_hold=2; repeatable. rig.resolved.yaml lists all.",
-        rich_help_panel=TUNING,
     ),
 ]
 

@@ -9,7 +9,6 @@ import typer
 from calgraph.cli.calibrate import show_results
 from calgraph.cli.common_options import (
     RESULT_FILES,
-    TUNING,
     EstimatorChoice,
     ForceOption,
     Results,
@@ -17,6 +16,7 @@ from calgraph.cli.common_options import (
     WholeJson,
     check_not_overwriting,
     list_choices,
+    tuning,
 )
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, list_prior_files, read_priors
 from calgraph.cli.setting_options import SetOption, override_settings, parse_limits, parse_published
@@ -38,20 +38,14 @@ def solve(
     overrides: SetOption = None,
     folds: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Number of folds of the cross-validation; that of calibrate if left out.",
-            rich_help_panel=TUNING,
-        ),
+        tuning(min=0, metavar="N", help="Number of folds of the cross-validation; that of calibrate if left out."),
     ] = None,
     estimator: Annotated[
         EstimatorChoice | None,
-        typer.Option(
+        tuning(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
             help="The bundle, or the paper's hypergraph; that of calibrate if left out.",
-            rich_help_panel=TUNING,
         ),
     ] = None,
 ) -> None:
