@@ -31,12 +31,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
-    from calgraph.drive.options import DriveOptions
-    from calgraph.network.options import NetworkOptions
     from calgraph.result import Calibration
-    from calgraph.rig.options import RigOptions
-
-    _Options = NetworkOptions | RigOptions | DriveOptions
 
 _log = logging.getLogger("calgraph")
 
@@ -98,6 +93,7 @@ def calibrate(
     """
     # Modules that read and calibrate take a second, which --help should not.
     from calgraph.calibration.dispatch import calibrate as calibrate_any
+    from calgraph.calibration.dispatch import make_options
     from calgraph.calibration.result_files import write_results
     from calgraph.cli.cache import open_cache
     from calgraph.cli.progress import progress_bars
@@ -128,35 +124,11 @@ def calibrate(
         open_engine(jobs, cluster, rig.settings.cluster) as engine,
         replace_folder_atomically(out, "calibration.yaml") as folder,
     ):
-        # Of one wing only: the others' modules take a tenth of a second.
-        if rig.is_network:
-            from calgraph.network.options import NetworkOptions
-
-            options: _Options = NetworkOptions(
-                estimator=estimator,
-                extend=load_calibration(extend) if extend else None,
-                moved=tuple(moved or ()),
-                seed=seed,
-                engine=engine,
-                cache=cache,
-            )
-        elif rig.is_drive:
-            from calgraph.drive.options import DriveOptions
-
-            options = DriveOptions(seed=seed, prior=prior_poses, engine=engine)
-        else:
-            from calgraph.rig.options import RigOptions
-
-            options = RigOptions(
-                estimator=estimator,
-                prior=prior_poses,
-                rigid=groups,
-                folds=folds,
-                seed=seed,
-                dump=folder / dump.name if dump and _is_in(dump, out) else dump,
-                engine=engine,
-                cache=cache,
-            )
+        options = make_options(
+            rig, estimator=estimator, prior=prior_poses, rigid=groups, folds=folds, seed=seed,
+            extend=load_calibration(extend) if extend else None, moved=tuple(moved or ()),
+            dump=folder / dump.name if dump and _is_in(dump, out) else dump, engine=engine, cache=cache,
+        )  # fmt: skip
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
