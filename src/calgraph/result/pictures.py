@@ -173,6 +173,14 @@ class Pictures:
     """(4, 4) pose of the root in the plan of a network, where z is up and the floor is at 0; identity for 2-D
     scanners, whose root is level."""
 
+    def of_sensor(self, name: str) -> "Pictures":
+        """The pictures without those of other sensors; boards, trajectories and the plan remain."""
+        kinds = ("snapshots", "board_views", "floor_views", "beam_views", "drive_views", "drive_starts")
+        own: dict[str, Any] = {
+            kind: tuple(one for one in getattr(self, kind) if one.sensor == name) for kind in kinds
+        }
+        return replace(self, **own)
+
 
 def correct_pictures(pictures: Pictures, corrections: Mapping[str, Correction]) -> Pictures:
     """The pictures with the corrected points of scanners; residuals of board views remain."""
