@@ -133,7 +133,8 @@ def _content(robots: "Sequence[RobotResult]") -> str:
                     for name, failure in robot.failures
                 ],
                 "moved": [
-                    {"earlier": comparison.earlier, "later": comparison.later, **vars(move)}
+                    {"earlier": comparison.earlier, "later": comparison.later, "sensors": move.sensors}
+                    | vars(move)
                     for comparison, move in robot.moves
                 ],
             }

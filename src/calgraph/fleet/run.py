@@ -192,7 +192,7 @@ class RobotResult:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """What needs attention, the most urgent first: keys of ``STATE_WORDS`` of the wording; or good."""
+        """What needs attention, the most urgent first: keys of ``STATES`` of the page; or good."""
         done = [one for one in self.recordings if not one.failure]
         found = {
             "failed": bool(self.failures),
