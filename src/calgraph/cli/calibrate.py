@@ -22,6 +22,7 @@ from calgraph.cli.common_options import (
     WholeJson,
     check_not_overwriting,
     earlier,
+    format_command,
     list_choices,
     open_engine,
     tuning,
@@ -94,10 +95,9 @@ def calibrate(
     # Modules that read and calibrate take a second, which --help should not.
     from calgraph.calibration.dispatch import calibrate as calibrate_any
     from calgraph.calibration.dispatch import make_options
-    from calgraph.calibration.result_files import write_results
+    from calgraph.calibration.result_files import make_provenance, write_results
     from calgraph.cli.cache import open_cache
     from calgraph.cli.progress import progress_bars
-    from calgraph.cli.provenance import describe_run
     from calgraph.io.atomic import check_output_path, replace_folder_atomically
     from calgraph.recording import open_recordings, resolve_intrinsics
     from calgraph.result import load_calibration, state_calibrated_intrinsics
@@ -139,7 +139,9 @@ def calibrate(
                 *list_prior_files(prior, rigid),
                 *([("earlier calibration", extend)] if extend else []),
             ]
-            calibration = replace(calibration, provenance=describe_run(read, recording, cache))
+            calibration = replace(
+                calibration, provenance=make_provenance(format_command(), read, recording, cache)
+            )
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
             progress("writing", 0.0)
             write_results(calibration, rig, folder, engine.jobs)

@@ -1,5 +1,7 @@
 """Arguments and options that mean the same to several commands."""
 
+import shlex
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -93,6 +95,11 @@ def open_engine(jobs: int | None, cluster: str | None, settings: "DaskSettings")
         )
     with open_cluster(cluster, jobs or available_cores(), settings) as engine:
         yield engine
+
+
+def format_command() -> str:
+    """The command line of this program, for provenance."""
+    return shlex.join(["calgraph", *sys.argv[1:]])
 
 
 def check_not_overwriting(folder: Path, names: Iterable[str], *, force: bool) -> None:

@@ -17,11 +17,11 @@ from calgraph.cli.common_options import (
     Results,
     SeedOption,
     everyday,
+    format_command,
     open_engine,
 )
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.provenance import format_command
 from calgraph.config import FleetConfig, load_fleet
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError

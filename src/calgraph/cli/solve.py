@@ -15,6 +15,7 @@ from calgraph.cli.common_options import (
     StrictOption,
     WholeJson,
     check_not_overwriting,
+    format_command,
     list_choices,
     tuning,
 )
@@ -56,8 +57,7 @@ def solve(
 
     Exit codes are those of calibrate.
     """
-    from calgraph.calibration.result_files import write_results
-    from calgraph.cli.provenance import describe_run
+    from calgraph.calibration.result_files import make_provenance, write_results
     from calgraph.io.atomic import replace_folder_atomically
     from calgraph.rig.bundle.problem import with_prior_poses
     from calgraph.rig.bundle.problem_file import load_problem, round_trip
@@ -74,7 +74,7 @@ def solve(
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))
     with replace_folder_atomically(out, "calibration.yaml") as folder:
         read = [("problem", file), *list_prior_files(prior, rigid)]
-        calibration = replace(solve_problem(problem), provenance=describe_run(read))
+        calibration = replace(solve_problem(problem), provenance=make_provenance(format_command(), read))
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json, strict=strict)
 

@@ -151,6 +151,10 @@ class DriveStart:
     """The sensor's clock minus the root's, s."""
 
 
+KINDS_OF_SENSORS = ("snapshots", "board_views", "floor_views", "beam_views", "drive_views", "drive_starts")
+"""Fields of :class:`Pictures` that are of one sensor each."""
+
+
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """What pictures of a calibration show, kept in scene.npz; empty in a result read back without it."""
@@ -175,9 +179,8 @@ class Pictures:
 
     def of_sensor(self, name: str) -> "Pictures":
         """The pictures without those of other sensors; boards, trajectories and the plan remain."""
-        kinds = ("snapshots", "board_views", "floor_views", "beam_views", "drive_views", "drive_starts")
         own: dict[str, Any] = {
-            kind: tuple(one for one in getattr(self, kind) if one.sensor == name) for kind in kinds
+            kind: tuple(one for one in getattr(self, kind) if one.sensor == name) for kind in KINDS_OF_SENSORS
         }
         return replace(self, **own)
 

@@ -2,6 +2,7 @@
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.result.pictures import (
+    KINDS_OF_SENSORS,
     BeamView,
     BoardOutline,
     BoardView,
@@ -130,12 +132,8 @@ def load_scene(path: Path, limits: LimitSettings = LimitSettings()) -> Pictures:
 
 def _sensors_with_pictures(pictures: Pictures) -> list[str]:
     """The sensors that have pictures, in order."""
-    shown: tuple[Snapshot | BoardView | FloorView | BeamView | DriveView | DriveStart, ...]
-    shown = (
-        *pictures.snapshots, *pictures.board_views, *pictures.floor_views, *pictures.beam_views,
-        *pictures.drive_views, *pictures.drive_starts,
-    )  # fmt: skip
-    return list(dict.fromkeys(view.sensor for view in shown))
+    of_sensors = (getattr(pictures, kind) for kind in KINDS_OF_SENSORS)
+    return list(dict.fromkeys(one.sensor for one in chain.from_iterable(of_sensors)))
 
 
 def _nan_residuals(view: BoardView) -> Array:

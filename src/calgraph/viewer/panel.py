@@ -38,6 +38,9 @@ class Panel:
         self, gui: "GuiApi", calibration: Calibration, cameras: Mapping[str, CameraModel], display: SceneDisplay
     ) -> None:
         self._gui, self._calibration, self._cameras, self._display = gui, calibration, cameras, display
+        self._network, self._drive = (
+            bool(of) for of in (calibration.pictures.floor_views, calibration.pictures.drive_paths)
+        )
         self._changing = Lock()
         self._playing, self._closed = Lock(), Event()
         self._shown: ViewState | None = None
@@ -83,8 +86,7 @@ class Panel:
         self._closed.set()
 
     def _add_time(self) -> None:
-        network, several = bool(self._calibration.pictures.floor_views), len(self.moments) > 1
-        drive = bool(self._calibration.pictures.drive_paths)
+        network, drive, several = self._network, self._drive, len(self.moments) > 1
         self._step = _TIME_STEP if network else 1
         last = self._step * (len(self.moments) - 1 if several else 1)
         # The first capture may be of the empty scene, or of a board that was not used.
@@ -141,9 +143,8 @@ class Panel:
         self.refresh()
 
     def _add_appearance(self) -> None:
-        network = bool(self._calibration.pictures.floor_views)
+        network, drive = self._network, self._drive
         solid = any(len(view.points) for view in self._calibration.pictures.floor_views)
-        drive = bool(self._calibration.pictures.drive_paths)
         usable = {
             words: c
             for words, c in _COLORINGS.items()
@@ -192,13 +193,12 @@ class Panel:
         return "\n".join(lines)
 
     def _describe_moment(self, state: ViewState) -> str:
-        network, paths = bool(self._calibration.pictures.floor_views), self._calibration.pictures.drive_paths
         if state.moment is None:
-            return "All walks" if network else "All parts" if paths else "All captures"
-        if paths:
-            times = paths[int(state.moment)].times
+            return "All walks" if self._network else "All parts" if self._drive else "All captures"
+        if self._drive:
+            times = self._calibration.pictures.drive_paths[int(state.moment)].times
             return f"From {times[0]:.0f} to {times[-1]:.0f} s of the drive"
-        if network:
+        if self._network:
             return f"{state.moment:.1f} s"
         row = next((row for row in self._calibration.evidence.captures if row.capture == state.moment), None)
         return f"Capture {state.moment:.0f}" + (f", {row.start:.1f} to {row.end:.1f} s" if row else "")
