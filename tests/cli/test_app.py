@@ -15,7 +15,6 @@ import typer
 from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import COMMANDS, SIMULATIONS, app, handle_errors
-from calgraph.cli.common_options import EARLIER, EVERYDAY, TUNING
 from calgraph.cli.lazy_commands import LazyCommand
 from calgraph.errors import CalibrationError, InputError, RecordingError
 
@@ -73,8 +72,8 @@ def test_descriptions_have_no_ragged_lines(command: str) -> None:
 
 def test_help_of_calibrate_has_everyday_options_first_and_tuning_last() -> None:
     panels = re.findall("^╭─ (.*?) ─", help_of("calibrate"), re.MULTILINE)
-    assert panels == ["Arguments", EVERYDAY, EARLIER, TUNING]
-    everyday = help_of("calibrate").partition(f"─ {EVERYDAY} ")[2].partition("╰")[0]
+    assert panels == ["Arguments", "Everyday", "Prior poses, earlier results", "Tuning"]
+    everyday = help_of("calibrate").partition("─ Everyday ")[2].partition("╰")[0]
     assert re.findall("--[a-z]+", everyday) == ["--out", "--force", "--strict", "--json", "--verbose", "--help"]
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
-from calgraph.calibration.result_files import hash_input
-from calgraph.cli.provenance import describe_run
+from calgraph.calibration.result_files import hash_input, make_provenance
 from calgraph.result import load_calibration
 
 Run = Callable[..., Result]
@@ -55,7 +54,7 @@ def test_both_ends_of_a_large_file_count(tmp_path: Path) -> None:
 
 def test_the_date_of_a_reproducible_build_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
-    assert describe_run([]).date == "1970-01-01T00:00:00+00:00"
+    assert make_provenance("", []).date == "1970-01-01T00:00:00+00:00"
 
 
 def test_a_pipe_is_not_read_again_for_its_hash(tmp_path: Path) -> None:
@@ -66,5 +65,5 @@ def test_a_pipe_is_not_read_again_for_its_hash(tmp_path: Path) -> None:
 @pytest.mark.parametrize("epoch", ["", "yesterday", "9" * 30])
 def test_an_epoch_that_is_no_time_is_ignored(monkeypatch: pytest.MonkeyPatch, epoch: str) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
-    date = datetime.fromisoformat(describe_run([]).date)
+    date = datetime.fromisoformat(make_provenance("", []).date)
     assert abs((datetime.now(UTC) - date).total_seconds()) < 60

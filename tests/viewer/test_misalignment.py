@@ -26,7 +26,7 @@ def test_a_displacement_towards_the_board_is_the_misalignment(rig: Calibration, 
     )
     assert found["laser"].rms == pytest.approx(0.05, abs=1e-6)
     assert found["lidar"].rms < 1e-6
-    assert str(found["laser"]) == "50.0 mm"
+    assert found["laser"].formatted == "50.0 mm"
 
 
 def test_a_displacement_along_the_board_is_not_a_misalignment(rig: Calibration, cameras: Cameras) -> None:
@@ -45,7 +45,7 @@ def test_a_camera_moved_sideways_has_reprojection_errors(rig: Calibration, camer
     )[CAMERA]
     expected = np.sqrt(np.mean((400 * 0.01 / np.array([3, 3.5, 4])) ** 2))
     assert found.rms == pytest.approx(expected, rel=1e-6)
-    assert str(found) == f"{expected:.2f} px"
+    assert found.formatted == f"{expected:.2f} px"
 
 
 def test_corrected_points_of_a_biased_lidar_are_on_the_board(rig: Calibration, cameras: Cameras) -> None:

@@ -1,7 +1,8 @@
 """The calibration of any kind of rig, and its comparison with given poses, chosen by the target."""
 
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
@@ -16,11 +17,35 @@ if TYPE_CHECKING:
     from calgraph.rig.options import RigOptions
     from calgraph.verdict.comparison import ExtrinsicsComparison
 
+    Options = RigOptions | NetworkOptions | DriveOptions
+
+# A wing is imported where it is used: each takes half a second.
+
+
+def make_options(rig: Rig, **stated: Any) -> "Options":
+    """The options of calibrations for this target; those that other targets alone have are left out."""
+    kind = _options_type(rig)
+    return kind(**{field.name: stated[field.name] for field in fields(kind) if field.name in stated})
+
+
+def _options_type(rig: Rig) -> "type[Options]":
+    if rig.is_network:
+        from calgraph.network.options import NetworkOptions
+
+        return NetworkOptions
+    if rig.is_drive:
+        from calgraph.drive.options import DriveOptions
+
+        return DriveOptions
+    from calgraph.rig.options import RigOptions
+
+    return RigOptions
+
 
 def calibrate(
     rig: Rig | Path | str,
     recording: Recording | Path | str,
-    options: "RigOptions | NetworkOptions | DriveOptions | None" = None,
+    options: "Options | None" = None,
     progress: Progress = no_progress,
 ) -> Calibration:
     """Calibrates a robot with a board, a network with people, or a robot that drives, by the rig's target.
@@ -37,27 +62,21 @@ def calibrate(
     if isinstance(recording, Path | str):
         with open_recording(recording, rig.settings.limits) as opened:
             return calibrate(rig, opened, options, progress)
-    # A wing is imported where it is used: each takes half a second.
+    kind = _options_type(rig)
+    if not isinstance(options, kind | None):
+        raise InputError(f"options: must be {kind.__name__} for this target, got {type(options).__name__}")
+    chosen: Any = options or kind()
     if rig.is_network:
-        from calgraph.network.options import NetworkOptions
         from calgraph.network.pipeline import calibrate_network
 
-        if isinstance(options, NetworkOptions | None):
-            return calibrate_network(rig, recording, options or NetworkOptions(), progress)
-    elif rig.is_drive:
-        from calgraph.drive.options import DriveOptions
+        return calibrate_network(rig, recording, chosen, progress)
+    if rig.is_drive:
         from calgraph.drive.pipeline import calibrate_drive
 
-        if isinstance(options, DriveOptions | None):
-            return calibrate_drive(rig, recording, options or DriveOptions(), progress)
-    else:
-        from calgraph.rig.options import RigOptions
-        from calgraph.rig.pipeline import calibrate_rig
+        return calibrate_drive(rig, recording, chosen, progress)
+    from calgraph.rig.pipeline import calibrate_rig
 
-        if isinstance(options, RigOptions | None):
-            return calibrate_rig(rig, recording, options or RigOptions(), progress)
-    kind = "NetworkOptions" if rig.is_network else "DriveOptions" if rig.is_drive else "RigOptions"
-    raise InputError(f"options: must be {kind} for this target, got {type(options).__name__}")
+    return calibrate_rig(rig, recording, chosen, progress)
 
 
 def compare(
@@ -71,22 +90,17 @@ def compare(
     progress: Progress = no_progress,
 ) -> "tuple[Calibration, ExtrinsicsComparison, Rig]":
     """The calibration from a recording, the comparison of given poses with it, and the rig with its intrinsics."""
+    options: Any = make_options(rig, seed=seed, engine=engine, cache=cache)
     if rig.is_network:
-        from calgraph.network.options import NetworkOptions
         from calgraph.network.pipeline import compare_network_extrinsics
 
-        of_network = NetworkOptions(seed=seed, engine=engine, cache=cache)
-        return *compare_network_extrinsics(rig, recording, given, of_network, progress), rig
+        return *compare_network_extrinsics(rig, recording, given, options, progress), rig
     if rig.is_drive:
-        from calgraph.drive.options import DriveOptions
         from calgraph.drive.pipeline import compare_drive_extrinsics
 
-        return *compare_drive_extrinsics(
-            rig, recording, given, DriveOptions(seed=seed, engine=engine), progress
-        ), rig
-    from calgraph.rig.options import RigOptions
+        return *compare_drive_extrinsics(rig, recording, given, options, progress), rig
     from calgraph.rig.pipeline import build_problem
     from calgraph.rig.verification import compare_extrinsics
 
-    problem = build_problem(rig, recording, RigOptions(seed=seed, engine=engine, cache=cache), progress)
+    problem = build_problem(rig, recording, options, progress)
     return *compare_extrinsics(problem, given), problem.rig

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calgraph.cli.common_options import (
-    EARLIER,
     RESULT_FILES,
-    TUNING,
     ClusterOption,
     EstimatorChoice,
     ForceOption,
@@ -23,20 +21,18 @@ from calgraph.cli.common_options import (
     StrictOption,
     WholeJson,
     check_not_overwriting,
+    earlier,
+    format_command,
     list_choices,
     open_engine,
+    tuning,
 )
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, list_prior_files, read_priors
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
-    from calgraph.drive.options import DriveOptions
-    from calgraph.network.options import NetworkOptions
     from calgraph.result import Calibration
-    from calgraph.rig.options import RigOptions
-
-    _Options = NetworkOptions | RigOptions | DriveOptions
 
 _log = logging.getLogger("calgraph")
 
@@ -58,28 +54,18 @@ def calibrate(
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
     extend: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OLD", help="People: combine with this earlier calibration.yaml.", rich_help_panel=EARLIER
-        ),
+        Path | None, earlier(metavar="OLD", help="People: combine with this earlier calibration.yaml.")
     ] = None,
     moved: Annotated[
         list[str] | None,
-        typer.Option(
+        earlier(
             metavar="NAME",
             help="People: scanner that has moved since OLD, whose pose is estimated again; repeatable.",
-            rich_help_panel=EARLIER,
         ),
     ] = None,
     overrides: SetOption = None,
     folds: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Board: number of folds of the cross-validation; 0: none.",
-            rich_help_panel=TUNING,
-        ),
+        int, tuning(min=0, metavar="N", help="Board: number of folds of the cross-validation; 0: none.")
     ] = 5,
     seed: SeedOption = 0,
     jobs: JobsOption = None,
@@ -87,19 +73,14 @@ def calibrate(
     no_cache: NoCacheOption = False,
     dump: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Board: write the input of the joint solution to FILE, for calgraph solve.",
-            rich_help_panel=TUNING,
-        ),
+        tuning(metavar="FILE", help="Board: write the input of the joint solution to FILE, for calgraph solve."),
     ] = None,
     estimator: Annotated[
         EstimatorChoice,
-        typer.Option(
+        tuning(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
             help="calgraph's method, or all of the paper's; single steps of either: --set published.KEY=VALUE.",
-            rich_help_panel=TUNING,
         ),
     ] = "joint",
 ) -> None:
@@ -113,10 +94,10 @@ def calibrate(
     """
     # Modules that read and calibrate take a second, which --help should not.
     from calgraph.calibration.dispatch import calibrate as calibrate_any
-    from calgraph.calibration.result_files import write_results
+    from calgraph.calibration.dispatch import make_options
+    from calgraph.calibration.result_files import make_provenance, write_results
     from calgraph.cli.cache import open_cache
     from calgraph.cli.progress import progress_bars
-    from calgraph.cli.provenance import describe_run
     from calgraph.io.atomic import check_output_path, replace_folder_atomically
     from calgraph.recording import open_recordings, resolve_intrinsics
     from calgraph.result import load_calibration, state_calibrated_intrinsics
@@ -143,35 +124,11 @@ def calibrate(
         open_engine(jobs, cluster, rig.settings.cluster) as engine,
         replace_folder_atomically(out, "calibration.yaml") as folder,
     ):
-        # Of one wing only: the others' modules take a tenth of a second.
-        if rig.is_network:
-            from calgraph.network.options import NetworkOptions
-
-            options: _Options = NetworkOptions(
-                estimator=estimator,
-                extend=load_calibration(extend) if extend else None,
-                moved=tuple(moved or ()),
-                seed=seed,
-                engine=engine,
-                cache=cache,
-            )
-        elif rig.is_drive:
-            from calgraph.drive.options import DriveOptions
-
-            options = DriveOptions(seed=seed, prior=prior_poses, engine=engine)
-        else:
-            from calgraph.rig.options import RigOptions
-
-            options = RigOptions(
-                estimator=estimator,
-                prior=prior_poses,
-                rigid=groups,
-                folds=folds,
-                seed=seed,
-                dump=folder / dump.name if dump and _is_in(dump, out) else dump,
-                engine=engine,
-                cache=cache,
-            )
+        options = make_options(
+            rig, estimator=estimator, prior=prior_poses, rigid=groups, folds=folds, seed=seed,
+            extend=load_calibration(extend) if extend else None, moved=tuple(moved or ()),
+            dump=folder / dump.name if dump and _is_in(dump, out) else dump, engine=engine, cache=cache,
+        )  # fmt: skip
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
@@ -182,7 +139,9 @@ def calibrate(
                 *list_prior_files(prior, rigid),
                 *([("earlier calibration", extend)] if extend else []),
             ]
-            calibration = replace(calibration, provenance=describe_run(read, recording, cache))
+            calibration = replace(
+                calibration, provenance=make_provenance(format_command(), read, recording, cache)
+            )
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
             progress("writing", 0.0)
             write_results(calibration, rig, folder, engine.jobs)

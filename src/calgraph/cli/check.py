@@ -142,7 +142,7 @@ def _print(audit: "ExtrinsicsComparison", against: Path, root: str, tolerance: T
     """A row per sensor: given minus estimated pose, along its axes; what the marks mean; the outcome of each."""
     output = console()
     output.print(f"[bold]{escape(str(against))} minus the estimated poses[/], along each sensor's axes")
-    table = make_table(["sensor"], ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""))
+    rows = []
     marks: set[str] = {sensor.outcome for sensor in audit.sensors}
     for sensor in audit.sensors:
         cells = []
@@ -152,9 +152,11 @@ def _print(audit: "ExtrinsicsComparison", against: Path, root: str, tolerance: T
             value, digits = (1000 * axis.offset, 1) if i < 3 else (float(np.degrees(axis.offset)), 2)
             offset = f"{round(value, digits) + 0.0:+.{digits}f}{'' if mark == 'pass' else _SIGNS[mark]}"
             cells.append(offset if np.isfinite(axis.stddev) else "")
-        table.add_row(escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), _SIGNS[sensor.outcome])
-    table.add_row(escape(audit.reference), *[""] * 6, _misfit(audit.misfit), "")
-    output.print(table)
+        outcome = _SIGNS[sensor.outcome]
+        rows.append((escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), outcome))
+    rows.append((escape(audit.reference), *[""] * 6, _misfit(audit.misfit), ""))
+    numbers = ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", "")
+    output.print(make_table(["sensor"], numbers, rows, gap=2))
     residual = "; residual: with this file / as estimated" if audit.misfit else ""
     output.print(f"All in the frame of {escape(audit.reference)}{residual}")
     limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"

@@ -1,7 +1,10 @@
 """Arguments and options that mean the same to several commands."""
 
+import shlex
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -13,8 +16,10 @@ if TYPE_CHECKING:
     from calgraph.config.settings import DaskSettings
     from calgraph.parallel.engine import Engine
 
-EVERYDAY, EARLIER, TUNING = "Everyday", "Prior poses, earlier results", "Tuning"
-"""Panels of the help of ``calibrate`` and ``solve``."""
+# Options in the panels of the help.
+everyday = partial(typer.Option, rich_help_panel="Everyday")
+earlier = partial(typer.Option, rich_help_panel="Prior poses, earlier results")
+tuning = partial(typer.Option, rich_help_panel="Tuning")
 RESULT_FILES = (
     "calibration.yaml",
     "report.html",
@@ -35,54 +40,30 @@ def list_choices(literal: Any) -> str:
 RigFile = Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")]
 # A path or a URL, of which Path would remove slashes.
 OneRecording = Annotated[str, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")]
-Results = Annotated[
-    Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", rich_help_panel=EVERYDAY)
-]
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Replace the results in OUT, if there are any.", rich_help_panel=EVERYDAY)
-]
-WholeJson = Annotated[
-    bool, typer.Option("--json", help="Print the whole result as JSON.", rich_help_panel=EVERYDAY)
-]
-StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Exit with 1 if a pose is weak, too.", rich_help_panel=EVERYDAY)
-]
-SeedOption = Annotated[
-    int,
-    typer.Option(
-        min=0, metavar="N", help="Seed of random samples: same seed, same result.", rich_help_panel=TUNING
-    ),
-]
+Results = Annotated[Path, everyday("--out", "-o", metavar="OUT", help="Folder for the results.")]
+ForceOption = Annotated[bool, everyday("--force", help="Replace the results in OUT, if there are any.")]
+WholeJson = Annotated[bool, everyday("--json", help="Print the whole result as JSON.")]
+StrictOption = Annotated[bool, everyday("--strict", help="Exit with 1 if a pose is weak, too.")]
+SeedOption = Annotated[int, tuning(min=0, metavar="N", help="Seed of random samples: same seed, same result.")]
 _MAX_JOBS = 256
 """Every process takes 100 MB or more; larger numbers are slips, and would stop the machine."""
 JobsOption = Annotated[
     int | None,
-    typer.Option(
-        "--jobs",
-        min=1,
-        max=_MAX_JOBS,
-        metavar="N",
-        help="Number of worker processes; all cores if left out.",
-        rich_help_panel=TUNING,
-    ),
+    tuning("--jobs", min=1, max=_MAX_JOBS, metavar="N", help="Number of worker processes; all cores if left out."),
 ]
 
 ClusterOption = Annotated[
     str | None,
-    typer.Option(
+    tuning(
         "--cluster",
         metavar="local | tcp://HOST:PORT",
         help="Let a cluster of Dask do the work: processes of this machine, or the address of its scheduler.",
-        rich_help_panel=TUNING,
     ),
 ]
 
 
 NoCacheOption = Annotated[
-    bool,
-    typer.Option(
-        "--no-cache", help="Detect the target again, and keep nothing for later runs.", rich_help_panel=TUNING
-    ),
+    bool, tuning("--no-cache", help="Detect the target again, and keep nothing for later runs.")
 ]
 EstimatorChoice = Literal["joint", "published"]
 
@@ -114,6 +95,11 @@ def open_engine(jobs: int | None, cluster: str | None, settings: "DaskSettings")
         )
     with open_cluster(cluster, jobs or available_cores(), settings) as engine:
         yield engine
+
+
+def format_command() -> str:
+    """The command line of this program, for provenance."""
+    return shlex.join(["calgraph", *sys.argv[1:]])
 
 
 def check_not_overwriting(folder: Path, names: Iterable[str], *, force: bool) -> None:

@@ -23,12 +23,15 @@ def console(*, stderr: bool = False) -> Console:
     return _Console(stderr=stderr, highlight=False, emoji=False, width=_UNWRAPPED)
 
 
-def make_table(names: Iterable[str], numbers: Iterable[str], *, gap: int = 2) -> Table:
+def make_table(
+    names: Iterable[str], numbers: Iterable[str], rows: Iterable[Iterable[str]], *, gap: int = 1
+) -> Table:
     """A table without lines.
 
     Args:
         names: heads of the first columns, whose names are folded where they are too long for the terminal.
         numbers: heads of the others.
+        rows: cells, with markup.
         gap: spaces between two columns.
     """
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, gap - 1), header_style="bold")
@@ -36,4 +39,6 @@ def make_table(names: Iterable[str], numbers: Iterable[str], *, gap: int = 2) ->
         table.add_column(head, overflow="fold")
     for head in numbers:
         table.add_column(head, justify="right", no_wrap=True)
+    for cells in rows:
+        table.add_row(*cells)
     return table

@@ -6,12 +6,11 @@ from typing import Annotated
 
 import typer
 
-from calgraph.calibration.result_files import write_results
+from calgraph.calibration.result_files import make_provenance, write_results
 from calgraph.cli.calibrate import fail_if_not_calibrated
-from calgraph.cli.common_options import ForceOption, check_not_overwriting
+from calgraph.cli.common_options import ForceOption, check_not_overwriting, format_command
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.provenance import describe_run
 from calgraph.cli.simulate import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
@@ -47,7 +46,8 @@ def demo(
                 calibration = calibrate_rig(
                     rig, recording, RigOptions(engine=Processes(available_cores())), progress
                 )
-                run = describe_run([("rig", folder / "rig.yaml"), ("recording", folder / "recording")], recording)
+                read = ("rig", folder / "rig.yaml"), ("recording", folder / "recording")
+                run = make_provenance(format_command(), read, recording)
                 # The folder has a temporary name until it is complete.
                 inputs = tuple(replace(one, path=str(out / Path(one.path).name)) for one in run.inputs)
                 calibration = replace(calibration, provenance=replace(run, inputs=inputs))

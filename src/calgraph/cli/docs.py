@@ -39,10 +39,8 @@ def docs(
     pages = {name: path for name in names if (path := folder / f"{name}.md").is_file()}
     output = console()
     if page is None:
-        table = make_table(["page", "about"], [])
-        for name, path in pages.items():
-            table.add_row(name, _read(path).partition("\n")[0].removeprefix("# "))
-        output.print(table)
+        titles = ((name, _read(path).partition("\n")[0].removeprefix("# ")) for name, path in pages.items())
+        output.print(make_table(["page", "about"], [], titles, gap=2))
         return
     name = page.removesuffix(".md")
     if name not in pages:

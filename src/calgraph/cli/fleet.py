@@ -11,17 +11,17 @@ from rich.markup import escape
 
 from calgraph.cli.cache import find_cache
 from calgraph.cli.common_options import (
-    EVERYDAY,
     ClusterOption,
     JobsOption,
     NoCacheOption,
     Results,
     SeedOption,
+    everyday,
+    format_command,
     open_engine,
 )
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.provenance import format_command
 from calgraph.config import FleetConfig, load_fleet
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
@@ -45,19 +45,13 @@ def fleet(
         Path, typer.Argument(metavar="FLEET.yaml", help="Robots, their rig.yaml, and their recordings.")
     ],
     out: Results,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Repeat recordings that failed.", rich_help_panel=EVERYDAY)
-    ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Repeat all recordings.", rich_help_panel=EVERYDAY)
-    ] = False,
+    retry_failed: Annotated[bool, everyday("--retry-failed", help="Repeat recordings that failed.")] = False,
+    force: Annotated[bool, everyday("--force", help="Repeat all recordings.")] = False,
     seed: SeedOption = 0,
     jobs: JobsOption = None,
     cluster: ClusterOption = None,
     no_cache: NoCacheOption = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print the results as JSON.", rich_help_panel=EVERYDAY)
-    ] = False,
+    json: Annotated[bool, everyday("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Calibrate or check the recordings of many robots, and report which sensor of which robot moved when.
 
@@ -139,7 +133,8 @@ def _content(robots: "Sequence[RobotResult]") -> str:
                     for name, failure in robot.failures
                 ],
                 "moved": [
-                    {"earlier": comparison.earlier, "later": comparison.later, **vars(move)}
+                    {"earlier": comparison.earlier, "later": comparison.later, "sensors": move.sensors}
+                    | vars(move)
                     for comparison, move in robot.moves
                 ],
             }

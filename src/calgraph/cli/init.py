@@ -9,7 +9,7 @@ import typer
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, parse_limits
-from calgraph.config import Board, Capture, FoundBackground, FoundMode, FoundTopic, draft_rig, find_triggers
+from calgraph.config import Board, Capture, FoundBackground, FoundTopic, draft_rig, find_triggers
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
@@ -50,7 +50,7 @@ def init(
         boardless = robot or network
         background = None if boardless else find_background(by_one_clock, topics, boards)
         found = None if boardless else find_mode(by_one_clock, topics, background)
-        mode = FoundMode(found.mode, found.reason) if found else None
+        mode = (found.mode, found.reason) if found else None
         text = draft_rig(topics, recording, target, background, mode, robot, network)
     write_text(out, text)
     todo = f"{'' if board or boardless else 'state your board in it, and '}go through its comments"
@@ -68,7 +68,7 @@ def find_mode(
 
     None where a topic seems to mark the captures, for one sensor, and for networks of 2-D scanners.
     """
-    usable = [t for t in topics if t.kind in KINDS and t.count and not t.problem]
+    usable = _list_usable(topics)
     if find_triggers(topics)[0] or all(KINDS[t.kind].detects == "line" for t in usable):
         return None
     return recognize_recording(
@@ -76,13 +76,18 @@ def find_mode(
     )
 
 
+def _list_usable(topics: Sequence[FoundTopic]) -> list[FoundTopic]:
+    """Those of sensors whose messages can be decoded."""
+    return [t for t in topics if t.kind in KINDS and t.count and not t.problem]
+
+
 def find_background(
     recording: Recording, topics: Sequence[FoundTopic], boards: Sequence[Board]
 ) -> FoundBackground | None:
     """The time without board and operator at the start of a recording."""
-    usable = [t for t in topics if t.kind in KINDS and t.count and not t.problem]
     scanners, cameras = (
-        [t.name for t in usable if KINDS[t.kind].measures_ranges == measuring] for measuring in (True, False)
+        [t.name for t in _list_usable(topics) if KINDS[t.kind].measures_ranges == measuring]
+        for measuring in (True, False)
     )
     triggers = find_triggers(topics)[0]
     capture = Capture(trigger=triggers[0].name if triggers else None)

@@ -104,10 +104,8 @@ def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None, 
     title = f"{recording}: {duration}{sum(t.count for t in inspection.topics)} messages"
     output.print(f"[bold]{escape(title)}[/]")
     times = ("Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms") if duration else ()
-    table = make_table(["topic"], ("count", *times))
-    for topic in inspection.topics:
-        table.add_row(escape(topic.name), str(topic.count), *_times(topic))
-    output.print(table)
+    rows = ((escape(topic.name), str(topic.count), *_times(topic)) for topic in inspection.topics)
+    output.print(make_table(["topic"], ("count", *times), rows, gap=2))
     if duration:
         output.print("gap: longest time between stamps; delay: median arrival minus stamp")
     for topic in inspection.topics:

@@ -181,12 +181,12 @@ def _print(found: Mapping[str, "IntrinsicsEstimate | Rejected"]) -> None:
             f"{len(one.detections)} of {one.views} views, RMS {one.noise:.2f} px"
             + escape("".join(f"; {model}: {fit}" for model, fit in one.rejected_models.items()))
         )
-        table = make_table(["parameter"], ("estimate", "σ"))
+        rows = []
         names = ("fx, px", "fy, px", "cx, px", "cy, px", *DISTORTION_NAMES[camera.model])
         for parameter, value, stddev in zip(names, camera.intrinsics, one.stddev, strict=False):
             decimals = max(1 - int(np.floor(np.log10(stddev))), 0) if 0 < stddev < np.inf else 3
-            table.add_row(parameter, f"{value:.{decimals}f}", f"{stddev:.{decimals}f}")
-        output.print(table)
+            rows.append((parameter, f"{value:.{decimals}f}", f"{stddev:.{decimals}f}"))
+        output.print(make_table(["parameter"], ("estimate", "σ"), rows, gap=2))
         output.print(
             f"Corners in {100 * coverage.cells:.0f} % of the image; a quarter of the views is tilted by more than "
             f"{np.degrees(coverage.tilt):.0f}°"

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from calgraph.cli.common_options import EVERYDAY, TUNING
+from calgraph.cli.common_options import everyday, tuning
 from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, load_rig
@@ -39,49 +39,30 @@ def live(
     ] = None,
     source: Annotated[
         str | None,
-        typer.Option(
+        everyday(
             metavar="SOURCE",
             help="ws://HOST:PORT of a Foxglove bridge, ros2:// or ros2://DOMAIN/NAMESPACE, or a recording.",
-            rich_help_panel=EVERYDAY,
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="SESSION", help="New folder for recording and result.", rich_help_panel=EVERYDAY
-        ),
+        Path | None, everyday("--out", "-o", metavar="SESSION", help="New folder for recording and result.")
     ] = None,
     resume: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="SESSION", help="Go on with a session that was interrupted.", rich_help_panel=EVERYDAY
-        ),
+        Path | None, everyday(metavar="SESSION", help="Go on with a session that was interrupted.")
     ] = None,
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of the page; 0.0.0.0: also for phones, with a token in the link.",
-            rich_help_panel=EVERYDAY,
+        everyday(
+            metavar="ADDRESS", help="Address of the page; 0.0.0.0: also for phones, with a token in the link."
         ),
     ] = DEFAULT_HOST,
     port: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, max=65535, help="Port of the page; 0: any free one.", rich_help_panel=EVERYDAY
-        ),
+        int, everyday(metavar="N", min=0, max=65535, help="Port of the page; 0: any free one.")
     ] = DEFAULT_PORT,
-    manual: Annotated[
-        bool,
-        typer.Option("--manual", help="Board: capture only when the button is pressed.", rich_help_panel=EVERYDAY),
-    ] = False,
+    manual: Annotated[bool, everyday("--manual", help="Board: capture only when the button is pressed.")] = False,
     speed: Annotated[
         float | None,
-        typer.Option(
-            metavar="X",
-            help="Of a replayed recording: 1 is real time, 0 as fast as nothing is skipped.",
-            rich_help_panel=TUNING,
-        ),
+        tuning(metavar="X", help="Of a replayed recording: 1 is real time, 0 as fast as nothing is skipped."),
     ] = None,
     overrides: SetOption = None,
 ) -> None:

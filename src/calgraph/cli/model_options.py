@@ -16,7 +16,7 @@ from rich.markup import escape
 from calgraph.cli.common_options import list_choices
 from calgraph.cli.setting_options import set_nested
 from calgraph.errors import InputError
-from calgraph.io.field_docs import describe_field
+from calgraph.io.field_docs import describe_field, walk_fields
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import parse_yaml, unwrap_annotation, validate_content
 
@@ -46,23 +46,19 @@ class ModelOption:
         return "_".join(self.path)
 
 
-def list_options(
-    model: type[BaseModel], panels: Mapping[str, str], path: tuple[str, ...] = ()
-) -> Iterator[ModelOption]:
+def list_options(model: type[BaseModel], panels: Mapping[str, str]) -> Iterator[ModelOption]:
     """The options of a settings model, in order.
 
     Args:
         model: the model; the docstrings of its fields become the help.
         panels: titles by the name of the outermost field from which on they hold.
-        path: keys that lead to the model.
     """
     panel = ""
-    for name, field in model.model_fields.items():
-        panel = panels.get((*path, name)[0], panel)
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from list_options(field.annotation, panels, (*path, name))
-        elif get_origin(field.annotation) is not Literal or len(get_args(field.annotation)) > 1:
-            yield ModelOption((*path, name), field, describe_field(model, name), panel)
+    for path, owner in walk_fields(model):
+        panel = panels.get(path[0], panel)
+        field = owner.model_fields[path[-1]]
+        if get_origin(field.annotation) is not Literal or len(get_args(field.annotation)) > 1:
+            yield ModelOption(path, field, describe_field(owner, path[-1]), panel)
 
 
 def add_options(

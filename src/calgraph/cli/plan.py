@@ -98,12 +98,15 @@ def _print(found: "RecordingPlan", planned: "PlannedRig") -> None:
     """A row per sensor, what more captures cannot do and how many suffice, places, and assumptions."""
     output, tolerance = console(), planned.rig.tolerance
     output.print(f"[bold]Predicted errors of {found.captures} captures[/] (95 %, along and about the worst axis)")
-    table = make_table(["sensor"], ("detects", "mm", "°", "at best mm", "°", ""))
     scale = tolerance.limits / found.max_stddev
-    for one in found.sensors:
-        errors = [text for of in (one.stddev, one.limit) for text in _format_worst(scale * of)]
-        table.add_row(escape(one.name), f"{one.detected:.0%}", *errors, _SIGNS[found.judge(one)])
-    output.print(table)
+    rows = [
+        (
+            escape(one.name), f"{one.detected:.0%}", *_format_worst(scale * one.stddev),
+            *_format_worst(scale * one.limit), _SIGNS[found.judge(one)],
+        )
+        for one in found.sensors
+    ]  # fmt: skip
+    output.print(make_table(["sensor"], ("detects", "mm", "°", "at best mm", "°", ""), rows, gap=2))
     limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"
     output.print(f"{_SIGNS['good']} within the tolerance of {limits}; detects: share of the captures")
     output.print("at best: with any number of captures, by the uncertainty that rig.yaml states or defaults to")

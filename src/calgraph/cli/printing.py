@@ -67,20 +67,19 @@ def _print_poses(output: Console, calibration: Calibration) -> None:
     axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
     timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
     positions, rotations = ("x, m", "y, m", "z, m")[axes], ("roll, °", "pitch, °", "yaw, °")[turns]
-    table = make_table(
-        ["sensor"], (*positions, *rotations, "σ, mm", "σ, °", *(("clock ± σ, ms",) if timed else ()), ""), gap=1
-    )
+    rows = []
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
-        table.add_row(
+        rows.append((
             escape(sensor.name) + (" (upside-down)" if calibration.planar and T[2, 2] < 0 else ""),
             *(_format_fixed(v, 3) for v in T[:3, 3][axes]),
             *(_format_fixed(v, 2) for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
             *_deviations(sensor),
             *([_clock(sensor)] if timed else []),
             _GRADES[sensor.verdict.grade] if sensor.parent is not None else "",
-        )
-    output.print(table)
+        ))  # fmt: skip
+    clocks = ("clock ± σ, ms",) if timed else ()
+    output.print(make_table(["sensor"], (*positions, *rotations, "σ, mm", "σ, °", *clocks, ""), rows))
 
 
 def _print_base(output: Console, root: str, base: BaseFrame) -> None:
@@ -146,22 +145,20 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
     """Prints the residuals of each sensor, RMS, and its errors on held-out captures."""
     output.print("[bold]Residuals, fitted and on held-out captures[/] (ratio = observed / expected)")
     fit = calibration.evidence.fit
-    table = make_table(
-        ["sensor"], ("predicted", "fitted", "held out", "median", "along beam", "tilt", "ratio"), gap=1
-    )
-    for name, one in calibration.evidence.cross_validation.items():
-        fitted = fit[name].formatted if name in fit else ""
-        table.add_row(escape(name), str(one.captures), fitted, *one.formatted, f"{one.ratio:.2f}")
-    output.print(table)
+    rows = (
+        (escape(name), str(one.captures), fit[name].formatted if name in fit else "", *one.formatted,
+         f"{one.ratio:.2f}")
+        for name, one in calibration.evidence.cross_validation.items()
+    )  # fmt: skip
+    numbers = ("predicted", "fitted", "held out", "median", "along beam", "tilt", "ratio")
+    output.print(make_table(["sensor"], numbers, rows))
 
 
 def _print_fit(output: Console, calibration: Calibration) -> None:
     """Prints the residuals of each sensor, RMS."""
     output.print("[bold]Residuals[/] (of single measurements; poses are averages of all)")
-    table = make_table(["sensor"], ("measurements", "RMS"), gap=1)
-    for name, one in calibration.evidence.fit.items():
-        table.add_row(escape(name), str(one.count), one.formatted)
-    output.print(table)
+    rows = ((escape(name), str(one.count), one.formatted) for name, one in calibration.evidence.fit.items())
+    output.print(make_table(["sensor"], ("measurements", "RMS"), rows))
 
 
 def _notable_parameters(calibration: Calibration) -> Iterator[EstimatedParameter]:
@@ -175,21 +172,19 @@ def _print_intrinsics(output: Console, calibration: Calibration, name: str, intr
         f"[bold]Intrinsics of {escape(name)}[/], estimated from {intrinsics.estimated_from_views} views: "
         f"{intrinsics.model}, {intrinsics.width} x {intrinsics.height} pixels"
     )
-    table = make_table(["parameter"], ("estimate", "σ", "unit"), gap=1)
-    for one in calibration.systematic:
-        if one.of == name:
-            table.add_row(one.quantity, *one.formatted[2:])
-    output.print(table)
+    rows = ((one.quantity, *one.formatted[2:]) for one in calibration.systematic if one.of == name)
+    output.print(make_table(["parameter"], ("estimate", "σ", "unit"), rows))
 
 
 def _print_systematic(output: Console, calibration: Calibration) -> None:
     """Prints the systematic parameters that are off their stated values."""
     output.print("[bold]Systematic parameters more than one prior σ off their stated values[/]")
     numbers = ("stated", "prior σ", "estimate", "σ", "unit", "deviation")
-    table = make_table(["of", "parameter"], numbers, gap=1)
-    for one in _notable_parameters(calibration):
-        table.add_row(escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
-    output.print(table)
+    rows = (
+        (escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
+        for one in _notable_parameters(calibration)
+    )
+    output.print(make_table(["of", "parameter"], numbers, rows))
 
 
 def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:
@@ -201,14 +196,14 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
     """
     output = console()
     output.print("[bold]Errors against the ground truth[/] (σ: along and about its worst axis)")
-    table = make_table(["sensor"], ("error, mm", "σ, mm", "error, °", "σ, °"), gap=1)
+    rows = []
     for sensor in calibration.sensors:
         if sensor.parent is not None:
             error = se3.difference(sensor.T_root_sensor, T_root_sensor[sensor.name])
             mm, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
             sigma_mm, sigma_degrees = _deviations(sensor)
-            table.add_row(escape(sensor.name), f"{mm:.1f}", sigma_mm, f"{degrees:.3f}", sigma_degrees)
-    output.print(table)
+            rows.append((escape(sensor.name), f"{mm:.1f}", sigma_mm, f"{degrees:.3f}", sigma_degrees))
+    output.print(make_table(["sensor"], ("error, mm", "σ, mm", "error, °", "σ, °"), rows))
 
 
 # Sources of smaller shares hardly change σ: they are added up, as are those beyond the largest ones.
@@ -246,7 +241,7 @@ def _print_sources(title: str, budget: ErrorBudget, axes: Iterable[tuple[SensorP
 
     output = console()
     output.print(f"[bold]{escape(title)}[/] (shares of the variance)")
-    table = make_table(["sensor", "axis", "σ", "from"], ("σ", "share"), gap=1)
+    table: list[tuple[str, ...]] = []
     for sensor, k, axis in axes:
         format_stddev = format_length if axis < 3 else format_angle
         sources = budget.largest(k, axis)
@@ -262,9 +257,9 @@ def _print_sources(title: str, budget: ErrorBudget, axes: Iterable[tuple[SensorP
         sigma = float(np.linalg.norm([stddev for _, stddev, _ in sources]))
         head = escape(sensor.name), KINDS[sensor.kind].axes[axis], format_stddev(sigma)
         for name, share in rows:
-            table.add_row(*head, escape(name), format_stddev(sigma * share**0.5), f"{100 * share:.0f} %")
+            table.append((*head, escape(name), format_stddev(sigma * share**0.5), f"{100 * share:.0f} %"))
             head = "", "", ""
-    output.print(table)
+    output.print(make_table(["sensor", "axis", "σ", "from"], ("σ", "share"), table))
 
 
 def print_output_path(out: Path) -> None:

@@ -6,9 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from calgraph.cli.common_options import EARLIER
+from calgraph.cli.common_options import earlier
 from calgraph.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,29 +15,26 @@ if TYPE_CHECKING:
 
 PriorOption = Annotated[
     Path | None,
-    typer.Option(
+    earlier(
         "--prior",
         metavar="FILE",
         help="Prior poses (board, drive): calibration.yaml, URDF, or transforms of tf (YAML).",
-        rich_help_panel=EARLIER,
     ),
 ]
 DeviationOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(
+    earlier(
         "--prior-stddev",
         metavar="M DEG",
         help="Standard deviations of prior poses, m and degrees; 0 0: exact. A calibration.yaml contains them.",
-        rich_help_panel=EARLIER,
     ),
 ]
 RigidOption = Annotated[
     list[str] | None,
-    typer.Option(
+    earlier(
         "--rigid",
         metavar="FILE:A,B,...",
         help="Board: sensors A, B, ... are fixed to each other with the poses in FILE; repeatable.",
-        rich_help_panel=EARLIER,
     ),
 ]
 

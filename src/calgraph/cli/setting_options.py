@@ -1,34 +1,24 @@
 """The option ``--set``, which overrides single settings of a rig.yaml."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from calgraph.cli.common_options import TUNING
+from calgraph.cli.common_options import tuning
 from calgraph.errors import InputError
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
     from calgraph.config import Rig
     from calgraph.config.settings import LimitSettings, PublishedSettings, Settings
 
 
-def list_settings(model: "type[BaseModel] | None" = None, above: str = "") -> Iterator[str]:
-    """The keys of all settings, such as ``captures.min_hold``; or of those in a part of them."""
-    from pydantic import BaseModel
-
+def list_settings() -> list[str]:
+    """The keys of all settings, such as ``captures.min_hold``."""
     from calgraph.config.settings import Settings
+    from calgraph.io.field_docs import walk_fields
 
-    model = model or Settings
-    for name, field in model.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from list_settings(field.annotation, f"{above}{name}.")
-        else:
-            yield above + name
+    return [".".join(keys) for keys, _ in walk_fields(Settings)]
 
 
 def _complete(incomplete: str) -> list[str]:
@@ -38,12 +28,11 @@ def _complete(incomplete: str) -> list[str]:
 
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
+    tuning(
         "--set",
         metavar="KEY=VALUE",
         autocompletion=_complete,
         help="Override a setting, such as captures.min_hold=2; repeatable. rig.resolved.yaml lists all.",
-        rich_help_panel=TUNING,
     ),
 ]
 

@@ -9,14 +9,15 @@ import typer
 from calgraph.cli.calibrate import show_results
 from calgraph.cli.common_options import (
     RESULT_FILES,
-    TUNING,
     EstimatorChoice,
     ForceOption,
     Results,
     StrictOption,
     WholeJson,
     check_not_overwriting,
+    format_command,
     list_choices,
+    tuning,
 )
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, list_prior_files, read_priors
 from calgraph.cli.setting_options import SetOption, override_settings, parse_limits, parse_published
@@ -38,20 +39,14 @@ def solve(
     overrides: SetOption = None,
     folds: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Number of folds of the cross-validation; that of calibrate if left out.",
-            rich_help_panel=TUNING,
-        ),
+        tuning(min=0, metavar="N", help="Number of folds of the cross-validation; that of calibrate if left out."),
     ] = None,
     estimator: Annotated[
         EstimatorChoice | None,
-        typer.Option(
+        tuning(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
             help="The bundle, or the paper's hypergraph; that of calibrate if left out.",
-            rich_help_panel=TUNING,
         ),
     ] = None,
 ) -> None:
@@ -62,8 +57,7 @@ def solve(
 
     Exit codes are those of calibrate.
     """
-    from calgraph.calibration.result_files import write_results
-    from calgraph.cli.provenance import describe_run
+    from calgraph.calibration.result_files import make_provenance, write_results
     from calgraph.io.atomic import replace_folder_atomically
     from calgraph.rig.bundle.problem import with_prior_poses
     from calgraph.rig.bundle.problem_file import load_problem, round_trip
@@ -80,7 +74,7 @@ def solve(
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))
     with replace_folder_atomically(out, "calibration.yaml") as folder:
         read = [("problem", file), *list_prior_files(prior, rigid)]
-        calibration = replace(solve_problem(problem), provenance=describe_run(read))
+        calibration = replace(solve_problem(problem), provenance=make_provenance(format_command(), read))
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json, strict=strict)
 

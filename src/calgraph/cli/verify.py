@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from calgraph.cli.cache import open_cache
 from calgraph.cli.calibrate import fail_if_not_calibrated
 from calgraph.cli.common_options import ClusterOption, NoCacheOption, open_engine
-from calgraph.cli.console import console
+from calgraph.cli.console import console, make_table
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
@@ -130,19 +129,17 @@ def _print(
 
     output = console()
     output.print(f"[bold]Bootstrap over captures, {rounds} rounds: scatter and stated standard deviation[/]")
-    table = Table(box=None, pad_edge=False)
-    table.add_column("sensor", overflow="fold")
-    table.add_column("axis", no_wrap=True)
-    for head in ("scatter", "stated", "ratio", f"all in, {confidence:.0%}"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for name, found in scatter.items():
-        for i, axis in enumerate(axis_names(kinds[name])):
-            table.add_row(
-                escape(name) if i == 0 else "", axis,
-                _format_stddev(found.bootstrapped[i], i), _format_stddev(found.stated[i], i),
-                f"{found.ratio[i]:.2f}", f"{found.low[i]:.2f} – {found.high[i]:.2f}",
-            )  # fmt: skip
-    output.print(table)
+    rows = [
+        (
+            escape(name) if i == 0 else "", axis,
+            _format_stddev(found.bootstrapped[i], i), _format_stddev(found.stated[i], i),
+            f"{found.ratio[i]:.2f}", f"{found.low[i]:.2f} – {found.high[i]:.2f}",
+        )
+        for name, found in scatter.items()
+        for i, axis in enumerate(axis_names(kinds[name]))
+    ]  # fmt: skip
+    numbers = ("scatter", "stated", "ratio", f"all in, {confidence:.0%}")
+    output.print(make_table(["sensor", "axis"], numbers, rows, gap=2))
     for name, found in scatter.items():
         axis, ratio = axis_names(kinds[name])[found.worst], found.ratio[found.worst]
         times = ratio if found.verdict == "optimistic" else 1 / ratio

@@ -119,15 +119,6 @@ class FoundBackground:
 
 
 @dataclass(frozen=True)
-class FoundMode:
-    """How a recording shows the board, as far as a draft needs it."""
-
-    mode: CaptureMode
-    reason: str
-    """Why, in a sentence without full stop."""
-
-
-@dataclass(frozen=True)
 class _Sensor:
     name: str
     topic: FoundTopic
@@ -139,7 +130,7 @@ def draft_rig(
     recording: str,
     target: str = "",
     background: FoundBackground | None = None,
-    mode: FoundMode | None = None,
+    mode: tuple[CaptureMode, str] | None = None,
     drive: str = "",
     network: str = "",
 ) -> str:
@@ -150,7 +141,7 @@ def draft_rig(
         recording: its name, for the comments.
         target: the block of the target; without one, the draft has a comment in its place, and does not load.
         background: the time without board and operator, if one was found.
-        mode: how the recording shows the board, if that is known; its triggers come first.
+        mode: how the recording shows the board, and why, if that is known; its triggers come first.
         drive: why it is of a robot that drives, which needs no target; empty where it is not.
         network: why it is of LiDARs that are fixed in a building; empty where it is not.
 
@@ -342,7 +333,7 @@ def _missing_target(sensors: Sequence[_Sensor]) -> str:
 
 
 def _capture(
-    topics: Sequence[FoundTopic], background: FoundBackground | None, mode: FoundMode | None = None
+    topics: Sequence[FoundTopic], background: FoundBackground | None, mode: tuple[CaptureMode, str] | None
 ) -> str:
     triggers, _ = find_triggers(topics)
     window = (
@@ -354,13 +345,9 @@ def _capture(
     if background and not background.searched:
         # A calibration, which has the board, finds the window again and compares it with the images.
         window, background = f"# {window}; used unless a camera detects the board in it", None
-    if not triggers and mode and mode.mode in _MODES:
-        lines = [
-            f"# CHECK: {_single_line(mode.reason)}: {_MODES[mode.mode]}.",
-            "capture:",
-            f"  mode: {mode.mode}",
-            f"  {window}",
-        ]
+    if not triggers and mode and mode[0] in _MODES:
+        why = f"# CHECK: {_single_line(mode[1])}: {_MODES[mode[0]]}."
+        lines = [why, "capture:", f"  mode: {mode[0]}", f"  {window}"]
     elif not triggers:
         lines = [
             "# No trigger topic was found: captures are found by the board resting.",

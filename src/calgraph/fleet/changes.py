@@ -19,15 +19,10 @@ _ROUNDING = 1e-6
 Since = Literal["previous", "first", "reference"]
 
 
-@dataclass(frozen=True, eq=False)
-class SensorChange:
-    """Change of one sensor's pose in the frame of the root."""
+@dataclass(frozen=True)
+class Displacement:
+    """How far a sensor is from where it was."""
 
-    sensor: str
-    step: Array
-    """(6,) translation and rotation vector along the root's fixed axes, m and rad."""
-    stddev: Array
-    """(6,) of it, without errors that both recordings share; NaN where nothing was measured."""
     distance: float
     """Length of the translation, m."""
     distance_stddev: float
@@ -35,19 +30,29 @@ class SensorChange:
     """Of the rotation, rad."""
     angle_stddev: float
 
+    @property
+    def lengths(self) -> tuple[float, float, float, float]:
+        """Distance and angle, each with its standard deviation."""
+        return self.distance, self.distance_stddev, self.angle, self.angle_stddev
+
+
+@dataclass(frozen=True, eq=False)
+class SensorChange(Displacement):
+    """Change of one sensor's pose in the frame of the root."""
+
+    sensor: str
+    step: Array
+    """(6,) translation and rotation vector along the root's fixed axes, m and rad."""
+    stddev: Array
+    """(6,) of it, without errors that both recordings share; NaN where nothing was measured."""
+
 
 @dataclass(frozen=True)
-class Move:
+class Move(Displacement):
     """A sensor that moved relative to those that did not."""
 
     sensors: tuple[str, ...]
     """The sensor; several if the recordings do not determine which of them moved."""
-    distance: float
-    """m."""
-    distance_stddev: float
-    angle: float
-    """rad."""
-    angle_stddev: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +135,13 @@ def _describe_change(name: str, step: Array, covariance: Array) -> SensorChange:
         stddev = np.sqrt(np.diag(covariance))
     unmeasured = np.isin(np.arange(6), UNMEASURED_IN_PLANE) & np.isnan(stddev)
     measured = np.where(unmeasured | unmeasured[:, None], 0.0, covariance)
-    distance, distance_stddev = _measure_length(step[:3], measured[:3, :3])
-    angle, angle_stddev = _measure_length(step[3:], measured[3:, 3:])
-    return SensorChange(name, step, stddev, distance, distance_stddev, angle, angle_stddev)
+    return SensorChange(*_measure(step, measured), name, step, stddev)
+
+
+def _measure(step: Array, covariance: Array) -> tuple[float, float, float, float]:
+    """The lengths of a displacement in space or in the plane, with their standard deviations."""
+    n = 3 if len(step) == 6 else 2
+    return *_measure_length(step[:n], covariance[:n, :n]), *_measure_length(step[n:], covariance[n:, n:])
 
 
 def _measure_length(vector: Array, covariance: Array) -> tuple[float, float]:
@@ -172,11 +181,9 @@ def _find_moves(
     if not found[0]:
         return
     steps, spreads = estimate_displacements(T, step, used, found[0])
-    n = 3 if len(axes) == 6 else 2
     others = [nodes for nodes in found[1:] if len(nodes) == 1]
     for node, displacement, spread in zip(found[0], steps, spreads, strict=True):
-        distance, distance_stddev = _measure_length(displacement[:n], spread[:n, :n])
-        angle, angle_stddev = _measure_length(displacement[n:], spread[n:, n:])
-        if distance >= rules.min_translation or np.degrees(angle) >= rules.min_rotation:
-            sensors = tuple(names[known[k]] for k in (node, *(k for (k,) in others)))
-            yield Move(sensors, distance, distance_stddev, angle, angle_stddev)
+        sensors = tuple(names[known[k]] for k in (node, *(k for (k,) in others)))
+        move = Move(*_measure(displacement, spread), sensors)
+        if move.distance >= rules.min_translation or np.degrees(move.angle) >= rules.min_rotation:
+            yield move

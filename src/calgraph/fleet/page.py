@@ -7,39 +7,29 @@ from typing import Any
 from urllib.parse import quote
 
 from calgraph.config import ChangeRules
-from calgraph.fleet.changes import Comparison, Move, SensorChange
+from calgraph.fleet.changes import Comparison, Displacement, Move
 from calgraph.fleet.run import RobotResult
 from calgraph.io.atomic import write_text
 from calgraph.report.formatting import format_angle, format_count, format_length
 from calgraph.report.templates import make_environment
 
-STATE_WORDS = {
-    "failed": "failed",
-    "moved": "moved",
-    "off": "differs",
-    "lost": "not calibrated",
-    "warned": "warning",
-    "weak": "weak",
-    "pending": "pending",
-    "good": "good",
+STATES = {
+    "failed": ("failed", "lost", "with recordings that failed"),
+    "moved": ("moved", "lost", "with a sensor that moved"),
+    "off": ("differs", "lost", "that differ from their reference"),
+    "lost": ("not calibrated", "lost", "with sensors that are not calibrated"),
+    "warned": ("warning", "weak", "with warnings"),
+    "weak": ("weak", "weak", "with weak poses"),
+    "pending": ("pending", "weak", "not complete"),
+    "good": ("good", "good", "good"),
 }
-"""Word for each state of a robot, the most urgent first."""
+"""States of a robot, the most urgent first: word, CSS class of its badge, and the same of several robots."""
 
 
 def summarize_fleet(robots: Sequence[RobotResult]) -> str:
     """One sentence on all robots."""
-    counts = {state: sum(state in robot.states for robot in robots) for state in STATE_WORDS}
-    parts = {
-        "failed": "with recordings that failed",
-        "moved": "with a sensor that moved",
-        "off": "that differ from their reference",
-        "lost": "with sensors that are not calibrated",
-        "warned": "with warnings",
-        "weak": "with weak poses",
-        "pending": "not complete",
-    }
-    found = [f"{counts[state]} {words}" for state, words in parts.items() if counts[state]]
-    found.append(f"{counts['good']} good")
+    counts = {words: sum(state in robot.states for robot in robots) for state, (*_, words) in STATES.items()}
+    found = [f"{count} {words}" for words, count in counts.items() if count or words == "good"]
     return f"{format_count(len(robots), 'robot')}: {', '.join(found)}."
 
 
@@ -59,9 +49,9 @@ def describe_robot(robot: RobotResult) -> list[str]:
 
 def describe_move(comparison: Comparison, move: Move) -> str:
     """What moved, when, and how far."""
+    how_far = " and ".join(_format_displacement(move))
     return (
-        f"{' or '.join(move.sensors)} moved by {format_change(move.distance, move.distance_stddev)} and "
-        f"{format_turn(move.angle, move.angle_stddev)} (σ) between {comparison.earlier} and {comparison.later}"
+        f"{' or '.join(move.sensors)} moved by {how_far} (σ) between {comparison.earlier} and {comparison.later}"
     )
 
 
@@ -69,9 +59,10 @@ def describe_move(comparison: Comparison, move: Move) -> str:
 _ROUNDING = 1e-9
 
 
-def format_change(distance: float, stddev: float) -> str:
-    """A distance with its standard deviation, as 10.2 ± 0.9 mm."""
-    return f"{1000 * distance:.1f} ± {format_length(stddev)}"
+def _format_displacement(one: Displacement) -> tuple[str, str]:
+    """Distance, as 10.2 ± 0.9 mm, and angle."""
+    distance = f"{1000 * one.distance:.1f} ± {format_length(one.distance_stddev)}"
+    return distance, format_turn(one.angle, one.angle_stddev)
 
 
 def format_turn(angle: float, stddev: float) -> str:
@@ -79,17 +70,8 @@ def format_turn(angle: float, stddev: float) -> str:
     return f"{format_angle(angle if angle > _ROUNDING else 0.0)} ± {format_angle(stddev)}"
 
 
-_BADGES = {
-    "failed": "lost",
-    "moved": "lost",
-    "off": "lost",
-    "lost": "lost",
-    "warned": "weak",
-    "weak": "weak",
-    "pending": "weak",
-}
 _SIGNS = {"lost": "✕", "weak": "!", "good": "✓"}
-_URGENCY = list(STATE_WORDS)
+_URGENCY = list(STATES)
 _MAX_SHOWN_DRIFT = 0.025
 """Largest change that the drawings of drift show, m."""
 _MAX_LINKS = 6
@@ -129,8 +111,7 @@ def render_page(robots: Sequence[RobotResult], rules: ChangeRules, version: str)
         headline=summarize_fleet(robots),
         facts=_list_facts(robots),
         rules=rules,
-        words=STATE_WORDS,
-        badges=_BADGES,
+        states=STATES,
         signs=_SIGNS,
         present=present,
         scale=scale,
@@ -164,9 +145,9 @@ def _describe_row(robot: RobotResult, scale: float) -> dict[str, Any]:
         "earlier": robot.recordings[:-_MAX_LINKS],
         "latest": robot.recordings[-_MAX_LINKS:],
         "sensors": last.sensors if last else (),
-        "changes": {one.sensor: _describe_change(one) for one in base[-1].changes} if base else {},
+        "changes": {one.sensor: ", ".join(_format_displacement(one)) for one in base[-1].changes} if base else {},
         "largest": largest.distance if largest else -1.0,
-        "change": _describe_change(largest) if largest else "–",
+        "change": ", ".join(_format_displacement(largest)) if largest else "–",
         # One change of sensors that did not move is no course, and stands in the table.
         "lines": _draw_drift(robot, base, scale) if len(base) > 1 or (base and robot.moves) else [],
         "messages": messages,
@@ -175,11 +156,6 @@ def _describe_row(robot: RobotResult, scale: float) -> dict[str, Any]:
 
 def _shorten(text: str) -> str:
     return text if len(text) <= _MAX_MESSAGE else f"{text[: _MAX_MESSAGE - 1]}…"
-
-
-def _describe_change(change: SensorChange) -> str:
-    turn = format_turn(change.angle, change.angle_stddev)
-    return f"{format_change(change.distance, change.distance_stddev)}, {turn}"
 
 
 def _changes_since_start(robot: RobotResult) -> list[Comparison]:

@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calgraph.calibration.dispatch import calibrate, compare
+from calgraph.calibration.dispatch import calibrate, compare, make_options
 from calgraph.calibration.result_files import format_comparison, make_provenance, write_results
 from calgraph.config import ChangeRules, Rig, load_rig
-from calgraph.drive.options import DriveOptions
 from calgraph.errors import WorkerKilledError
 from calgraph.fleet.changes import Comparison, Move, compare_poses, pair_recordings
 from calgraph.fleet.plan import RecordingTask, RobotPlan
@@ -27,11 +26,9 @@ from calgraph.fleet.recording_result import (
 )
 from calgraph.io.atomic import replace_folder_atomically, write_text
 from calgraph.io.cache_folder import CacheFolder
-from calgraph.network.options import NetworkOptions
 from calgraph.parallel.engine import Engine
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
-from calgraph.rig.options import RigOptions
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 
@@ -106,7 +103,7 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
         if task.action == "check" and given:
             calibration, comparison, rig = compare(rig, recording, given, seed=task.seed, cache=cache)
         else:
-            calibration = calibrate(rig, recording, _make_options(rig, task.seed, cache))
+            calibration = calibrate(rig, recording, make_options(rig, seed=task.seed, cache=cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
         inputs: list[tuple[str, Path | str]] = [("rig", task.rig), ("recording", task.path)]
         if task.reference:
@@ -117,13 +114,6 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
     if comparison and task.reference:
         write_text(folder / "check.json", format_comparison(comparison, task.reference, rig.tolerance) + "\n")
     return _describe(task, calibration, rig, given, comparison)
-
-
-def _make_options(rig: Rig, seed: int, cache: RecordingCache) -> NetworkOptions | DriveOptions | RigOptions:
-    """The options of a calibration of this kind of rig."""
-    if rig.is_drive:
-        return DriveOptions(seed=seed)
-    return NetworkOptions(seed=seed, cache=cache) if rig.is_network else RigOptions(seed=seed, cache=cache)
 
 
 def _describe(
@@ -202,7 +192,7 @@ class RobotResult:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """What needs attention, the most urgent first: keys of ``STATE_WORDS`` of the wording; or good."""
+        """What needs attention, the most urgent first: keys of ``STATES`` of the page; or good."""
         done = [one for one in self.recordings if not one.failure]
         found = {
             "failed": bool(self.failures),

@@ -114,16 +114,14 @@ def _pose_rows(result: RecordingResult) -> Iterator[Row]:
 def _change_rows(robot: RobotResult) -> Iterator[Row]:
     for one in robot.comparisons:
         for change in one.changes:
-            lengths = (change.distance, change.distance_stddev, change.angle, change.angle_stddev)
-            numbers = _numbers(np.concatenate([change.step, change.stddev, lengths]))
+            numbers = _numbers(np.concatenate([change.step, change.stddev, change.lengths]))
             yield robot.name, change.sensor, one.since, one.earlier, one.later, *numbers
 
 
 def _move_rows(robot: RobotResult) -> Iterator[Row]:
     for one, move in robot.moves:
-        lengths = (move.distance, move.distance_stddev, move.angle, move.angle_stddev)
         sensor, *others = move.sensors
-        yield robot.name, sensor, ", ".join(others), one.earlier, one.later, *_numbers(np.array(lengths))
+        yield robot.name, sensor, ", ".join(others), one.earlier, one.later, *_numbers(np.array(move.lengths))
 
 
 def _numbers(values: Array) -> list[float | None]:

@@ -53,6 +53,10 @@ class Table:
                 arrays[name] = np.array(values, column.dtype).reshape(len(values), *column.shape)
         return arrays
 
+    def pack_named(self, records: Sequence[Record], sensors: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """The columns of records, with numbers in place of the sensors' names."""
+        return self.pack([{**record, "sensor": sensors.index(record["sensor"])} for record in records])
+
     def unpack(self, arrays: Arrays) -> list[dict[str, Any]]:
         """The records of columns; every array in them is a copy in C order.
 

@@ -1,4 +1,4 @@
-"""The docstrings of a model's fields, read from its source when they are shown.
+"""The fields of a model, and their docstrings, read from its source when they are shown.
 
 pydantic's ``use_attribute_docstrings`` reads them when a model is imported, which takes a quarter of a
 second for all of rig.yaml.
@@ -7,8 +7,22 @@ second for all of rig.yaml.
 import ast
 import inspect
 import textwrap
+from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
+
+from pydantic import BaseModel
+
+
+def walk_fields(
+    model: type[BaseModel], above: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], type[BaseModel]]]:
+    """The keys of each value in a model and in the models within it, and the model of the last key, in order."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from walk_fields(field.annotation, (*above, name))
+        else:
+            yield (*above, name), model
 
 
 def describe_field(model: type, name: str) -> str:

@@ -1,9 +1,11 @@
 """Plain values as texts: YAML that readers of YAML 1.1 and 1.2 understand identically, JSON, and CSV."""
 
+import csv
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from ruamel.yaml.comments import CommentedSeq
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.representer import RoundTripRepresenter
 
-from calgraph.io.atomic import write_text
+from calgraph.io.atomic import write_atomically, write_text
 
 
 def format_yaml(content: Mapping[str, Any], comment: str = "") -> str:
@@ -68,6 +70,16 @@ class _Representer(RoundTripRepresenter):
 
 _Representer.add_representer(float, _Representer.represent_number)
 _Representer.add_representer(type(None), _Representer.represent_nothing)
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Writes a table in one step.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+    """
+    with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(chain([columns], rows))
 
 
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")

@@ -14,7 +14,7 @@ from calgraph.geometry import Array, se3
 from calgraph.report.formatting import format_count, format_fixed
 from calgraph.report.templates import render
 from calgraph.report.vocabulary import Vocabulary
-from calgraph.result import Calibration, SensorPose
+from calgraph.result import Calibration, DriveView, Pictures, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
@@ -52,71 +52,54 @@ class Coverage:
 
 def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage | None:
     """Coverage of one sensor's field of view; None where the result has no detections of it."""
-    if KINDS[sensor.kind].detects == "corners":
+    own, kind = calibration.pictures.of_sensor(sensor.name), KINDS[sensor.kind]
+    # Those that were used; all if none was used.
+    views = _finite_points(view.measured for view in own.board_views if view.used)
+    views = views or _finite_points(view.measured for view in own.board_views)
+    if kind.detects == "corners":
         camera = calibrated_cameras(calibration, rig).get(sensor.name)
-        views = _board_detections(calibration, sensor)
-        return _camera_coverage(calibration, sensor, camera, views) if camera and views else None
+        return _camera_coverage(own, sensor, camera, views) if camera and views else None
     if calibration.pictures.floor_views:
-        solid = KINDS[sensor.kind].detects == "plane"
-        walks = _walk_positions(calibration, sensor, _BODY_HEIGHT if solid else 0.0)
-        if walks and solid:
-            return _lidar_coverage(walks, [*_static_points(calibration, sensor), *walks], "People walked")
-        field = _background_points(calibration, sensor)
-        return _planar_coverage(walks, [*field, *walks], "People walked") if walks else None
-    subject, views = "The board was", _board_detections(calibration, sensor)
-    field = _scanned_points(calibration, sensor)
-    if calibration.pictures.drive_paths:
-        subject, (views, field) = "Common surfaces were", _surface_points(calibration, sensor)
+        return _walk_coverage(own, sensor)
+    subject, field = "The board was", _finite_points(one.points.astype(np.float64) for one in own.snapshots)
+    if own.drive_paths:
+        subject, (views, field) = "Common surfaces were", _surface_points(own.drive_views)
     if not views:
         return None
-    if KINDS[sensor.kind].optical:
+    if kind.optical:
         views, field = ([points @ _OPTICAL_TO_LEVEL.T for points in of] for of in (views, field))
-    if KINDS[sensor.kind].detects == "line":
+    if kind.detects == "line":
         return _planar_coverage(views, [*field, *views], subject)
     return _lidar_coverage(views, [*field, *views], subject)
 
 
-def _board_detections(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    """The sensor's detections that were used; all if none was used."""
-    views = [view for view in calibration.pictures.board_views if view.sensor == sensor.name]
-    used = _finite_points(view.measured for view in views if view.used)
-    return used or _finite_points(view.measured for view in views)
+def _walk_coverage(own: Pictures, sensor: SensorPose) -> Coverage | None:
+    """Coverage of a scanner of a network by people; None without any."""
+    T_sensor_plan = se3.inverse(own.T_plan_root @ sensor.T_root_sensor)
+
+    def place(points: Array, height: float) -> Array:
+        """(N, 3) in the scanner's frame of points (N, 2) at a height in the plan."""
+        return se3.apply(T_sensor_plan, np.column_stack([points, np.full(len(points), height)]))
+
+    solid = KINDS[sensor.kind].detects == "plane"
+    height = _BODY_HEIGHT if solid else 0.0
+    walks = _finite_points(place(walk, height) for view in own.floor_views for walk in view.tracks)
+    if not walks:
+        return None
+    if solid:
+        static = _finite_points(view.points.astype(np.float64) for view in own.floor_views)
+        return _lidar_coverage(walks, [*static, *walks], "People walked")
+    background = _finite_points(place(view.background, 0.0) for view in own.floor_views)
+    return _planar_coverage(walks, [*background, *walks], "People walked")
 
 
-def _scanned_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    return _finite_points(
-        s.points.astype(np.float64) for s in calibration.pictures.snapshots if s.sensor == sensor.name
-    )
-
-
-def _walk_positions(calibration: Calibration, sensor: SensorPose, height: float) -> list[Array]:
-    """Positions of people in a scanner of a network, at a height in the plan, in the scanner's frame, m."""
-    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite_points(
-        _to_sensor_frame(calibration, walk, sensor, height) for view in views for walk in view.tracks
-    )
-
-
-def _background_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite_points(_to_sensor_frame(calibration, view.background, sensor) for view in views)
-
-
-def _static_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite_points(view.points.astype(np.float64) for view in views)
-
-
-def _surface_points(calibration: Calibration, sensor: SensorPose) -> tuple[list[Array], list[Array]]:
+def _surface_points(views: Sequence[DriveView]) -> tuple[list[Array], list[Array]]:
     """Points of a drive on surfaces that another sensor measured, by second, and all on surfaces."""
     seconds: list[Array] = []
-    field = []
-    for view in calibration.pictures.drive_views:
-        if view.sensor == sensor.name:
-            points = view.points.astype(np.float64)
-            field.append(points)
-            second = np.floor(view.times[view.shared])
-            seconds += [points[view.shared][second == one] for one in np.unique(second)]
+    field = [view.points.astype(np.float64) for view in views]
+    for view, points in zip(views, field, strict=True):
+        second = np.floor(view.times[view.shared])
+        seconds += [points[view.shared][second == one] for one in np.unique(second)]
     return _finite_points(seconds), _finite_points(field)
 
 
@@ -126,15 +109,7 @@ def _finite_points(clouds: Iterable[Array]) -> list[Array]:
     return [points for points in finite if len(points)]
 
 
-def _to_sensor_frame(calibration: Calibration, points: Array, sensor: SensorPose, height: float = 0.0) -> Array:
-    """(N, 3) in a scanner's frame of points (N, 2) at a height in the plan."""
-    T_plan_sensor = calibration.pictures.T_plan_root @ sensor.T_root_sensor
-    return se3.apply(se3.inverse(T_plan_sensor), np.column_stack([points, np.full(len(points), height)]))
-
-
-def _camera_coverage(
-    calibration: Calibration, sensor: SensorPose, camera: CameraModel, views: Sequence[Array]
-) -> Coverage:
+def _camera_coverage(own: Pictures, sensor: SensorPose, camera: CameraModel, views: Sequence[Array]) -> Coverage:
     size = np.array([camera.width, camera.height])
     rows, columns = np.maximum(np.round(_CAMERA_COLUMNS * size[::-1] / size.max()), 1).astype(int)
     x, y = (np.linspace(-0.5, length - 0.5, n + 1) for length, n in zip(size, (columns, rows), strict=True))
@@ -143,18 +118,14 @@ def _camera_coverage(
     missing = "There were corners in all parts of the image."
     if empty:
         missing = f"Missing: no corners in the {_join_words(empty)} of the image."
-    remarks = (missing, *_describe_board_poses(calibration, sensor))
+    remarks = (missing, *_describe_board_poses(own, sensor))
     return Coverage(x, y, _count_views(views, x, y), np.ones(columns, dtype=np.bool_), ("px", "px"), remarks)
 
 
-def _describe_board_poses(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:
+def _describe_board_poses(own: Pictures, sensor: SensorPose) -> tuple[str, ...]:
     """Distance and tilt of the boards that a camera detected."""
-    captures = {
-        view.capture for view in calibration.pictures.board_views if view.sensor == sensor.name and view.used
-    }
-    corners = [
-        o.corners for o in calibration.pictures.board_outlines if o.capture in captures and o.board is not None
-    ]
+    captures = {view.capture for view in own.board_views if view.used}
+    corners = [o.corners for o in own.board_outlines if o.capture in captures and o.board is not None]
     if not corners:
         return ()
     boards = se3.apply(se3.inverse(sensor.T_root_sensor), np.concatenate(corners)).reshape(-1, 4, 3)

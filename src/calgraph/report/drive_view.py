@@ -190,7 +190,7 @@ def _render_supports(calibration: Calibration) -> Markup:
     """Of which surfaces the pose of each sensor is, along and about each axis; empty without common surfaces."""
     names, axes, shares = [], [], []
     for sensor in calibration.sensors:
-        views = [view for view in calibration.pictures.drive_views if view.sensor == sensor.name]
+        views = calibration.pictures.of_sensor(sensor.name).drive_views
         if sensor.parent is None or not views:
             continue
         information = np.sum([_sum_information(calibration, view) for view in views], axis=0)

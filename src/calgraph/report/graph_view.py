@@ -31,15 +31,11 @@ def render_graph(calibration: Calibration, words: Vocabulary) -> Markup:
     count = len(names) + len(calibration.evidence.unconnected)
     width, height = _WIDTH * growth, min(_HEIGHT, _HEIGHT_PER_SENSOR * count) * growth**2
     places = _place_nodes(names, list(calibration.evidence.unconnected), width, height)
+    crowded, edges = len(names) > _MAX_LABELED_SENSORS, calibration.evidence.edges
     drawn = [
-        e
-        for e in calibration.evidence.edges
-        if (e.inliers if len(names) > _MAX_LABELED_SENSORS else e.captures) > 0
-        and e.sensor_a in places
-        and e.sensor_b in places
+        e for e in edges if (e.inliers if crowded else e.captures) and {e.sensor_a, e.sensor_b} <= set(places)
     ]
     drawn.sort(key=lambda edge: edge.in_tree)
-    crowded = len(names) > _MAX_LABELED_SENSORS
     labelled = [edge for edge in reversed(drawn) if edge.in_tree or not crowded]
     return render(
         "graph.html",
@@ -51,9 +47,7 @@ def render_graph(calibration: Calibration, words: Vocabulary) -> Markup:
         nodes=[(name, place, *_describe_node(name, calibration)) for name, place in places.items()],
         label=_LABEL_SIZE,
         labels=_place_labels(labelled, places),
-        edges=sorted(
-            calibration.evidence.edges, key=lambda edge: (not edge.in_tree, edge.inliers == 0, edge.sensor_a)
-        ),
+        edges=sorted(edges, key=lambda edge: (not edge.in_tree, edge.inliers == 0, edge.sensor_a)),
     )
 
 

@@ -134,7 +134,7 @@ def render_camera_images(calibration: Calibration, rig: Rig) -> Markup:
     each = min(max(_MAX_IMAGES // len(intrinsics), _MIN_PER_CAMERA), _MAX_PER_CAMERA)
     shown = []
     for sensor, camera in intrinsics.items():
-        views = _rank_views([v for v in calibration.pictures.board_views if v.sensor == sensor.name], images)
+        views = _rank_views(calibration.pictures.of_sensor(sensor.name).board_views, images)
         factor = _choose_enlargement(views, camera) if views else 1
         ranks = np.unique(np.linspace(0, len(views) - 1, min(each, len(views))).round().astype(int)).tolist()
         shots = []

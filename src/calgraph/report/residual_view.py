@@ -176,31 +176,25 @@ def render_residual_pictures(calibration: Calibration, rig: Rig, words: Vocabula
 
 
 def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Residuals | None:
-    times = capture_times(calibration)
+    times, own = capture_times(calibration), calibration.pictures.of_sensor(sensor.name)
     parts = [
         (np.full(len(view.measured), times.get(view.capture, np.nan)), view.measured, view.residuals)
-        for view in calibration.pictures.board_views
-        if view.sensor == sensor.name and view.residuals is not None
+        for view in own.board_views
+        if view.residuals is not None
     ]
     parts += [
         (view.times, np.column_stack([view.points, np.zeros(len(view.points))]), view.residuals)
-        for view in calibration.pictures.beam_views
-        if view.sensor == sensor.name
+        for view in own.beam_views
     ]
-    driven = [view for view in calibration.pictures.drive_views if view.sensor == sensor.name]
-    parts += [(view.times, view.points.astype(np.float64), view.residuals) for view in driven]
+    parts += [(view.times, view.points.astype(np.float64), view.residuals) for view in own.drive_views]
     if not parts:
         return None
-    paths = calibration.pictures.drive_paths
-    angles = [find_incidence(view, paths[view.part], sensor.T_root_sensor) for view in driven]
+    angles = [find_incidence(view, own.drive_paths[view.part], sensor.T_root_sensor) for view in own.drive_views]
     time, points, error = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     error = error if error.ndim == 2 else 1e3 * error[:, None]
     finite = np.isfinite(error).all(axis=1) & np.isfinite(points).all(axis=1)
-    unused = [
-        view.measured
-        for view in calibration.pictures.board_views
-        if view.sensor == sensor.name and view.residuals is None and KINDS[sensor.kind].detects == "corners"
-    ]
+    is_camera = KINDS[sensor.kind].detects == "corners"
+    unused = [view.measured for view in own.board_views if view.residuals is None and is_camera]
     if not finite.any():
         return None
     corners = np.concatenate([np.zeros((0, 2)), *unused])

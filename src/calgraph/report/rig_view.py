@@ -28,7 +28,7 @@ from calgraph.report.figures import (
 )
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
-from calgraph.result.sensor_pose import error_ellipsoid
+from calgraph.result.sensor_pose import choose_axis_length, error_ellipsoid
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
 
@@ -124,7 +124,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
         calibration: the result; of a network by :func:`calgraph.report.floor_view.place_on_plan`.
         rig: its configuration.
     """
-    size = _axis_length(calibration)
+    size = choose_axis_length(calibration.sensors, longest=2.0)
     # A hall is viewed from higher up, over its walls.
     eye = (0.95, -0.95, 0.95) if rig.is_network else (1.25, -1.25, 0.7)
     outlines = calibration.pictures.board_outlines
@@ -179,16 +179,6 @@ def _choose_enlargement(sensors: Sequence[SensorPose], size: float) -> int:
         return 1
     longest = float(np.median([error_ellipsoid(one)[0][-1] for one in covariances]))
     return choose_enlargement(longest, _MIN_VISIBLE * size)
-
-
-def _axis_length(calibration: Calibration) -> float:
-    """Length of a frame's axes, m: clear of its neighbours, yet visible."""
-    origins = np.array([s.T_root_sensor[:3, 3] for s in calibration.sensors])
-    if len(origins) < 2:
-        return 0.25
-    distances = np.linalg.norm(origins[:, None] - origins, axis=-1)
-    np.fill_diagonal(distances, np.inf)
-    return float(np.clip(0.4 * np.median(distances.min(axis=1)), 0.05, 2.0))
 
 
 def _line_trace(name: str, lines: Sequence[Polyline], color: str, width: float) -> dict[str, Any]:

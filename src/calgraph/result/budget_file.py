@@ -9,8 +9,7 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
-from calgraph.io.atomic import write_atomically
-from calgraph.io.text_writing import escape_formula
+from calgraph.io.text_writing import escape_formula, write_csv
 from calgraph.io.yaml_reading import read_text
 from calgraph.result.budget import ErrorSource
 from calgraph.result.calibration import Calibration
@@ -28,10 +27,7 @@ def save_budget(calibration: Calibration, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(_COLUMNS)
-        writer.writerows(_rows(calibration))
+    write_csv(path, _COLUMNS, _rows(calibration))
 
 
 def _rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:

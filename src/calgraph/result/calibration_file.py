@@ -1,6 +1,5 @@
 """Writing calibration.yaml, which other programs read, and captures.csv, one row per capture and sensor."""
 
-import csv
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -12,8 +11,8 @@ from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
-from calgraph.io.atomic import write_atomically, write_text
-from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
+from calgraph.io.atomic import write_text
+from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number, write_csv
 from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget
 from calgraph.result.calibration import Calibration, Provenance
@@ -45,11 +44,11 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     content: dict[str, Any] = {
         "format": FORMAT,
         "root": calibration.root,
-        **({"base": _base(base)} if (base := calibration.base) else {}),
+        "base": calibration.base and _base(calibration.base),
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
-    text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
+    text = format_yaml(_known(content), _HEADER) + _edges(calibration.evidence.edges)
     if calibration.systematic:
         text += format_yaml({"systematic": [_estimated_parameter(one) for one in calibration.systematic]})
     if calibration.corrections:
@@ -72,10 +71,7 @@ def save_captures(calibration: Calibration, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(_CAPTURE_COLUMNS)
-        writer.writerows(_capture_row(row) for row in calibration.evidence.captures)
+    write_csv(path, _CAPTURE_COLUMNS, map(_capture_row, calibration.evidence.captures))
 
 
 def _capture_row(row: CaptureRow) -> tuple[object, ...]:
@@ -88,30 +84,40 @@ def _capture_row(row: CaptureRow) -> tuple[object, ...]:
 def _base(base: BaseFrame) -> dict[str, Any]:
     entry: dict[str, Any] = {"frame": base.frame, "axle": base.axle}
     if base.known:
-        t, q = base.T_base_root[:3, 3], so3.quaternion(base.T_base_root[:3, :3])
-        entry["translation"] = flow_sequence(None if np.isnan(x) else x for x in _round_digits(t, 15))
-        entry["rotation"] = flow_sequence(_round_digits(q, 14))
-        entry["covariance"] = _symmetric(base.covariance, 9)
+        entry |= {**_pose(base.T_base_root), "covariance": _symmetric(base.covariance, 9)}
     return {**entry, "verdict": _verdict(base.verdict)}
 
 
 def _sensor(sensor: SensorPose) -> dict[str, Any]:
-    entry: dict[str, Any] = {} if sensor.parent is None else {"parent": sensor.parent}
-    entry["kind"] = sensor.kind
-    entry["frame_id"] = sensor.frame_id
-    # These digits keep poses to better than 1e-12 at any distance within a rig.
-    entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
-    entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
-    entry["covariance"] = _symmetric(sensor.covariance, 9)
-    if sensor.stated is not None:
-        entry["stated"] = {key: value for key, value in asdict(sensor.stated).items() if value is not None}
-    if sensor.intrinsics is not None:
-        entry["intrinsics"] = _intrinsics(sensor.intrinsics)
-    if sensor.clock_offset is not None:
-        entry["clock_offset"] = sensor.clock_offset
-    if sensor.clock_offset_stddev is not None:
-        entry["clock_offset_stddev"] = sensor.clock_offset_stddev
-    return entry
+    return _known({
+        "parent": sensor.parent,
+        "kind": sensor.kind,
+        "frame_id": sensor.frame_id,
+        **_pose(sensor.T_root_sensor),
+        "covariance": _symmetric(sensor.covariance, 9),
+        "stated": sensor.stated and _known(asdict(sensor.stated)),
+        "intrinsics": sensor.intrinsics and _intrinsics(sensor.intrinsics),
+        "clock_offset": sensor.clock_offset,
+        "clock_offset_stddev": sensor.clock_offset_stddev,
+    })  # fmt: skip
+
+
+def _known(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries with a value."""
+    return {key: value for key, value in entries.items() if value is not None}
+
+
+# Those of poses keep them to better than 1e-12 at any distance within a rig.
+_POSE_DIGITS, _BOARD_DIGITS = (15, 14), (6, 6)
+
+
+def _pose(T: Array, digits: tuple[int, int] = _POSE_DIGITS) -> dict[str, Any]:
+    """Translation and rotation of a pose (4, 4); null for coordinates that are not known."""
+    translation = _round_digits(T[:3, 3], digits[0])
+    return {
+        "translation": flow_sequence(None if np.isnan(x) else x for x in translation),
+        "rotation": flow_sequence(_round_digits(so3.quaternion(T[:3, :3]), digits[1])),
+    }
 
 
 def _intrinsics(intrinsics: Intrinsics) -> dict[str, Any]:
@@ -122,100 +128,73 @@ def _intrinsics(intrinsics: Intrinsics) -> dict[str, Any]:
 
 
 def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
-    unit = {"unit": one.unit} if one.unit else {}
-    stated, prior, value, stddev = _round_digits([one.stated, one.prior, one.value, one.stddev], 9)
-    numbers = {"stated": stated, "prior": prior, "value": value, "stddev": stddev}
-    return {"of": one.of, "quantity": one.quantity, **unit, **numbers}
+    numbers = {"stated": one.stated, "prior": one.prior, "value": one.value, "stddev": one.stddev}
+    return _known({"of": one.of, "quantity": one.quantity, "unit": one.unit or None, **_round_values(numbers, 9)})
 
 
 def _correction(one: Correction) -> dict[str, Any]:
     rings = [flow_sequence(_round_digits(ring, 9)) for ring in one.rings]
-    return {
-        "distance": _round_digits([one.distance], 9)[0],
+    return _known({
+        **_round_values({"distance": one.distance}, 9),
         "parameters": flow_sequence(parameter.quantity for parameter in one.parameters),
-        **({"rings": rings} if rings else {}),
+        "rings": rings or None,
         "covariance": _symmetric(one.covariance, 9),
-    }
+    })  # fmt: skip
 
 
 def _provenance(provenance: Provenance) -> dict[str, Any]:
-    return {name: value for name, value in asdict(provenance).items() if value is not None} | {
-        "inputs": [asdict(one) for one in provenance.inputs]
-    }
+    return _known(asdict(provenance)) | {"inputs": [asdict(one) for one in provenance.inputs]}
 
 
 def _quality(calibration: Calibration) -> dict[str, Any]:
-    return {
-        "estimator": calibration.evidence.estimator,
-        **({"tolerance": tolerance.model_dump()} if (tolerance := calibration.evidence.tolerance) else {}),
-        **({"bodies": asdict(bodies)} if (bodies := calibration.evidence.bodies) else {}),
+    evidence = calibration.evidence
+    return _known({
+        "estimator": evidence.estimator,
+        "tolerance": evidence.tolerance and evidence.tolerance.model_dump(),
+        "bodies": evidence.bodies and asdict(evidence.bodies),
         "verdicts": {s.name: _verdict(s.verdict) for s in calibration.sensors},
-        "unconnected": dict(calibration.evidence.unconnected),
-        **({"remarks": list(calibration.evidence.remarks)} if calibration.evidence.remarks else {}),
-        "residual_rms": {
-            kind: _round_digits([value], 4)[0] for kind, value in calibration.evidence.residual_rms.items()
-        },
-        **({"fit": _fit(calibration.evidence.fit)} if calibration.evidence.fit else {}),
-        "cross_validation": {
-            name: _held_out_error(one) for name, one in calibration.evidence.cross_validation.items()
-        },
-        "suggestions": [_suggestion(one) for one in calibration.evidence.suggestions],
-        "remedies": [_remedy(one) for one in calibration.evidence.remedies],
-        "captures": _captures(calibration.evidence.captures),
-    }
+        "unconnected": dict(evidence.unconnected),
+        "remarks": list(evidence.remarks) or None,
+        "residual_rms": _round_values(evidence.residual_rms),
+        "fit": {name: _fit_error(one) for name, one in evidence.fit.items()} or None,
+        "cross_validation": {name: _held_out_error(one) for name, one in evidence.cross_validation.items()},
+        "suggestions": [
+            {"hold": one.hold, **_prediction(one), **_pose(one.T_root_board, _BOARD_DIGITS)}
+            for one in evidence.suggestions
+        ],
+        "remedies": [_remedy(one) for one in evidence.remedies],
+        "captures": _captures(evidence.captures),
+    })  # fmt: skip
 
 
-def _fit(fit: Mapping[str, FitError]) -> dict[str, Any]:
-    return {
-        name: {"measurements": one.count, "unit": one.unit, "rms": _round_digits([one.rms], 4)[0]}
-        for name, one in fit.items()
-    }
+def _fit_error(one: FitError) -> dict[str, Any]:
+    return {"measurements": one.count, "unit": one.unit, **_round_values({"rms": one.rms})}
 
 
 def _held_out_error(one: HeldOutError) -> dict[str, Any]:
     numbers = {"rms": one.rms, "median": one.median, "along": one.along, "tilt": one.tilt, "ratio": one.ratio}
-    finite = {key: _round_digits([value], 4)[0] for key, value in numbers.items() if value is not None}
-    return {"captures": one.captures, "unit": one.unit, **finite}
-
-
-def _suggestion(one: Suggestion) -> dict[str, Any]:
-    return {"hold": one.hold, **_prediction(one), **_board_pose(one.T_root_board)}
+    return {"captures": one.captures, "unit": one.unit, **_round_values(_known(numbers))}
 
 
 def _remedy(one: Remedy) -> dict[str, Any]:
-    return {
+    return _known({
         "action": one.action,
         **_prediction(one),
         "suffices": one.suffices,
-        **({"captures": one.captures} if one.captures else {}),
-        **({"duration": one.duration} if one.duration else {}),
-        **({"uncertainty": _rounded(one.uncertainty)} if one.uncertainty else {}),
-        **({} if one.T_root_board is None else _board_pose(one.T_root_board)),
-    }
+        "captures": one.captures or None,
+        "duration": one.duration or None,
+        "uncertainty": {of: _round_values(known) for of, known in one.uncertainty.items()} or None,
+        **({} if one.T_root_board is None else _pose(one.T_root_board, _BOARD_DIGITS)),
+    })  # fmt: skip
 
 
 def _prediction(one: Suggestion | Remedy) -> dict[str, Any]:
-    stddev, expected = _round_digits([one.stddev, one.expected], 4)
-    return {"sensor": one.sensor, "axis": one.axis, "unit": one.unit, "stddev": stddev, "expected": expected}
+    numbers = _round_values({"stddev": one.stddev, "expected": one.expected})
+    return {"sensor": one.sensor, "axis": one.axis, "unit": one.unit, **numbers}
 
 
-def _rounded(uncertainty: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    return {
-        of: {key: _round_digits([value], 4)[0] for key, value in known.items()}
-        for of, known in uncertainty.items()
-    }
-
-
-def _board_pose(T_root_board: Array) -> dict[str, Any]:
-    return {
-        "translation": flow_sequence(_round_digits(T_root_board[:3, 3], 6)),
-        "rotation": flow_sequence(_round_digits(so3.quaternion(T_root_board[:3, :3]), 6)),
-    }
-
-
-def _verdict(verdict: Verdict) -> dict[str, str]:
-    reason = {"reason": verdict.reason} if verdict.reason else {}
-    return {"grade": verdict.grade, **reason}
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    return _known({"grade": verdict.grade, "reason": verdict.reason or None})
 
 
 def _edges(edges: Sequence[Edge]) -> str:
@@ -322,3 +301,7 @@ def _numbers(values: Array, digits: int) -> str:
 def _round_digits(values: Iterable[float] | Array, digits: int) -> list[float]:
     """The values rounded to a number of significant digits."""
     return [float(f"{value:.{digits}g}") + 0.0 for value in np.asarray(values, dtype=np.float64)]
+
+
+def _round_values(values: Mapping[str, float], digits: int = 4) -> dict[str, float]:
+    return dict(zip(values, _round_digits(list(values.values()), digits), strict=True))

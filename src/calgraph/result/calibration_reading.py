@@ -412,19 +412,15 @@ def _base(entry: _Base) -> BaseFrame:
     return BaseFrame(entry.frame, entry.axle, entry.verdict, T, to_array(entry.covariance))
 
 
+def _pose(entry: _Sensor | _Suggestion | _Remedy) -> Array:
+    return se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
+
+
 def _sensor(name: str, entry: _Sensor, verdict: Verdict) -> SensorPose:
     return SensorPose(
-        name=name,
-        parent=entry.parent,
-        frame_id=entry.frame_id,
-        kind=entry.kind,
-        T_root_sensor=se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation)),
-        verdict=verdict,
-        stated=entry.stated,
-        intrinsics=entry.intrinsics,
-        clock_offset=entry.clock_offset,
-        clock_offset_stddev=entry.clock_offset_stddev,
-    )
+        name, entry.parent, entry.frame_id, entry.kind, _pose(entry), verdict, entry.clock_offset,
+        entry.clock_offset_stddev, entry.stated, entry.intrinsics,
+    )  # fmt: skip
 
 
 def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
@@ -463,14 +459,11 @@ def _read_correction(kind: KindName, entry: _Correction, of_sensor: Sequence[Est
 
 
 def _suggestion(entry: _Suggestion) -> Suggestion:
-    T_root_board = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
-    return Suggestion(entry.hold, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, T_root_board)
+    return Suggestion(entry.hold, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, _pose(entry))
 
 
 def _remedy(entry: _Remedy) -> Remedy:
-    pose = None
-    if entry.translation is not None and entry.rotation is not None:
-        pose = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
+    pose = None if entry.translation is None or entry.rotation is None else _pose(entry)
     return Remedy(
         entry.action, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, entry.suffices,
         entry.captures, entry.uncertainty, pose, entry.duration,
@@ -479,14 +472,7 @@ def _remedy(entry: _Remedy) -> Remedy:
 
 def _edge(entry: _Edge) -> Edge:
     return Edge(
-        sensor_a=entry.sensors[0],
-        sensor_b=entry.sensors[1],
-        captures=entry.captures,
-        inliers=entry.inliers,
-        in_tree=entry.in_tree,
-        residuals=np.empty(0),
-        note=entry.note,
-        residual_rms=entry.residual_rms,
+        *entry.sensors, entry.captures, entry.inliers, entry.in_tree, np.empty(0), entry.note, entry.residual_rms
     )
 
 

@@ -151,6 +151,10 @@ class DriveStart:
     """The sensor's clock minus the root's, s."""
 
 
+KINDS_OF_SENSORS = ("snapshots", "board_views", "floor_views", "beam_views", "drive_views", "drive_starts")
+"""Fields of :class:`Pictures` that are of one sensor each."""
+
+
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """What pictures of a calibration show, kept in scene.npz; empty in a result read back without it."""
@@ -172,6 +176,13 @@ class Pictures:
     T_plan_root: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) pose of the root in the plan of a network, where z is up and the floor is at 0; identity for 2-D
     scanners, whose root is level."""
+
+    def of_sensor(self, name: str) -> "Pictures":
+        """The pictures without those of other sensors; boards, trajectories and the plan remain."""
+        own: dict[str, Any] = {
+            kind: tuple(one for one in getattr(self, kind) if one.sensor == name) for kind in KINDS_OF_SENSORS
+        }
+        return replace(self, **own)
 
 
 def correct_pictures(pictures: Pictures, corrections: Mapping[str, Correction]) -> Pictures:

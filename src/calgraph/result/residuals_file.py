@@ -1,13 +1,12 @@
 """residuals.csv: every residual that the report draws, one row per corner or beam end, for other programs."""
 
-import csv
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from calgraph.io.atomic import write_atomically
-from calgraph.io.text_writing import escape_formula
+from calgraph.io.text_writing import escape_formula, write_csv
 from calgraph.result.calibration import Calibration
 from calgraph.result.pictures import BeamView, BoardView, DriveView
 
@@ -20,17 +19,10 @@ def save_residuals(calibration: Calibration, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    pictures = calibration.pictures
-    times = capture_times(calibration)
-    with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(_COLUMNS)
-        for view in pictures.board_views:
-            writer.writerows(_board_rows(view, times.get(view.capture, np.nan)))
-        for beams in pictures.beam_views:
-            writer.writerows(_beam_rows(beams))
-        for driven in pictures.drive_views:
-            writer.writerows(_beam_rows(driven))
+    pictures, times = calibration.pictures, capture_times(calibration)
+    of_boards = (_board_rows(view, times.get(view.capture, np.nan)) for view in pictures.board_views)
+    of_beams = chain(map(_beam_rows, pictures.beam_views), map(_beam_rows, pictures.drive_views))
+    write_csv(path, _COLUMNS, chain.from_iterable(chain(of_boards, of_beams)))
 
 
 def capture_times(calibration: Calibration) -> dict[int, float]:

@@ -2,6 +2,7 @@
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.result.pictures import (
+    KINDS_OF_SENSORS,
     BeamView,
     BoardOutline,
     BoardView,
@@ -63,44 +65,43 @@ def save_scene(pictures: Pictures, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    number = {name: i for i, name in enumerate(_sensors_with_pictures(pictures))}
+    names = _sensors_with_pictures(pictures)
     views = [
         {
             **vars(view),
-            "sensor": number[view.sensor],
             "seen": view.measured,
             "off": _nan_residuals(view) if view.residuals is None else view.residuals,
         }
         for view in pictures.board_views
     ]
+    walks = [
+        {"sensor": view.sensor, "positions": positions, "times": times}
+        for view in pictures.floor_views
+        for positions, times in zip(view.tracks, view.times or map(_nan_times, view.tracks), strict=True)
+    ]
+    floor_views = [vars(view) for view in pictures.floor_views]
     arrays = (
-        _SNAPSHOTS.pack([
-            {**vars(s), "sensor": number[s.sensor], "image": np.frombuffer(s.image, dtype=np.uint8)}
-            for s in pictures.snapshots
-        ])
+        _SNAPSHOTS.pack_named(
+            [{**vars(s), "image": np.frombuffer(s.image, dtype=np.uint8)} for s in pictures.snapshots], names
+        )
         | _OUTLINES.pack([
             {**vars(outline), "board": _NO_BOARD if outline.board is None else outline.board}
             for outline in pictures.board_outlines
         ])
-        | _CORNERS.pack([view for view in views if view["seen"].shape[1] == 2])
-        | _BEAMS.pack([view for view in views if view["seen"].shape[1] == 3])
-        | _FLOOR.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.floor_views])
-        | _WALKS.pack([
-            {"sensor": number[view.sensor], "positions": positions, "times": times}
-            for view in pictures.floor_views
-            for positions, times in zip(view.tracks, view.times or map(_nan_times, view.tracks), strict=True)
-        ])
+        | _CORNERS.pack_named([view for view in views if view["seen"].shape[1] == 2], names)
+        | _BEAMS.pack_named([view for view in views if view["seen"].shape[1] == 3], names)
+        | _FLOOR.pack_named(floor_views, names)
+        | _WALKS.pack_named(walks, names)
     )  # fmt: skip
-    if pictures.floor_views:
-        arrays |= _STATIC.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.floor_views])
-        arrays |= _PLAN.pack([{"T_plan_root": pictures.T_plan_root}])
-    arrays |= _RANGES.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.beam_views])
+    if floor_views:
+        arrays |= _STATIC.pack_named(floor_views, names) | _PLAN.pack([{"T_plan_root": pictures.T_plan_root}])
+    arrays |= _RANGES.pack_named(list(map(vars, pictures.beam_views)), names)
     if pictures.drive_paths:
-        arrays |= _DRIVEN.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.drive_views])
-        arrays |= _PATHS.pack([vars(path) for path in pictures.drive_paths])
-        arrays |= _STARTS.pack([{**vars(one), "sensor": number[one.sensor]} for one in pictures.drive_starts])
-    content = {"format": FORMAT, "sensors": list(number)}
+        arrays |= _DRIVEN.pack_named(list(map(vars, pictures.drive_views)), names)
+        arrays |= _PATHS.pack(list(map(vars, pictures.drive_paths)))
+        arrays |= _STARTS.pack_named(list(map(vars, pictures.drive_starts)), names)
     # Pictures are compressed already, and measured points hardly can be.
+    content = {"format": FORMAT, "sensors": names}
     write_archive(path, _STRUCTURE, content, arrays, compression=zipfile.ZIP_STORED)
 
 
@@ -129,14 +130,10 @@ def load_scene(path: Path, limits: LimitSettings = LimitSettings()) -> Pictures:
     return Pictures(snapshots, outlines, views, floor, beams, *drive, T_plan_root)
 
 
-def _sensors_with_pictures(pictures: Pictures) -> dict[str, None]:
+def _sensors_with_pictures(pictures: Pictures) -> list[str]:
     """The sensors that have pictures, in order."""
-    shown: tuple[Snapshot | BoardView | FloorView | BeamView | DriveView | DriveStart, ...]
-    shown = (
-        *pictures.snapshots, *pictures.board_views, *pictures.floor_views, *pictures.beam_views,
-        *pictures.drive_views, *pictures.drive_starts,
-    )  # fmt: skip
-    return dict.fromkeys(view.sensor for view in shown)
+    of_sensors = (getattr(pictures, kind) for kind in KINDS_OF_SENSORS)
+    return list(dict.fromkeys(one.sensor for one in chain.from_iterable(of_sensors)))
 
 
 def _nan_residuals(view: BoardView) -> Array:

@@ -1,5 +1,6 @@
 """The pose of one sensor, with its verdict, and what rig.yaml states of it beyond what is measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -91,6 +92,16 @@ def stddev_along_axes(T_root_sensor: Array, covariance: Array) -> Array:
     with np.errstate(invalid="ignore"):  # infinite times zero
         variances = np.array([np.diag(R.T @ covariance[k : k + 3, k : k + 3] @ R) for k in (0, 3)]).ravel()
     return np.sqrt(np.maximum(np.where(np.isnan(variances), np.inf, variances), 0))
+
+
+def choose_axis_length(sensors: Sequence[SensorPose], longest: float) -> float:
+    """Length of the axes of frames in pictures, m: clear of their neighbours, yet visible."""
+    origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in sensors])
+    if len(origins) < 2:
+        return 0.25
+    distances = np.linalg.norm(origins[:, None] - origins, axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    return float(np.clip(0.4 * np.median(distances.min(axis=1)), 0.05, longest))
 
 
 # Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).

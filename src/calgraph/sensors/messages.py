@@ -12,8 +12,17 @@ from calgraph.geometry import Array
 from calgraph.sensors.camera_model import CameraModel
 
 
+class _Whole:
+    """A message that is one measurement, without parts that may be missing."""
+
+    is_empty: ClassVar[bool] = False
+    """Whether it holds no measurement, as where data were lost."""
+    duration: ClassVar[float] = 0.0
+    """Time from its first to its last measurement, s."""
+
+
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(_Whole):
     """One camera image."""
 
     stamp: float
@@ -29,10 +38,6 @@ class Image:
     """Type of its topic in a plain folder and in memory."""
     measured: ClassVar[str] = "pixels"
     """Field with what was measured."""
-    is_empty: ClassVar[bool] = False
-    """Whether it holds no measurement, as where data were lost."""
-    duration: ClassVar[float] = 0.0
-    """Time from its first to its last measurement, s."""
 
     @property
     def content(self) -> str:
@@ -189,7 +194,7 @@ class CameraInfo:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(_Whole):
     """The pose of a frame that moves, as another program estimates it."""
 
     stamp: float
@@ -202,17 +207,11 @@ class Pose:
     """(4,) x, y, z, w of the rotation to that world, as the message states it: perhaps not of unit length."""
     topic_type: ClassVar[str] = "trajectory"
     measured: ClassVar[str] = "position"
-    is_empty: ClassVar[bool] = False
-    duration: ClassVar[float] = 0.0
-
-    @property
-    def content(self) -> str:
-        """See :class:`Image`."""
-        return "a pose"
+    content: ClassVar[str] = "a pose"
 
 
 @dataclass(frozen=True, eq=False)
-class TransformList:
+class TransformList(_Whole):
     """Poses of frames in others, of tf."""
 
     stamp: float
@@ -223,8 +222,6 @@ class TransformList:
     frame_id: ClassVar[str] = ""
     topic_type: ClassVar[str] = "transforms"
     measured: ClassVar[str] = "positions"
-    is_empty: ClassVar[bool] = False
-    duration: ClassVar[float] = 0.0
 
     @property
     def positions(self) -> Array:
@@ -238,7 +235,7 @@ class TransformList:
 
 
 @dataclass(frozen=True, eq=False)
-class TurnRate:
+class TurnRate(_Whole):
     """The turn rate that a gyroscope measures."""
 
     stamp: float
@@ -248,13 +245,7 @@ class TurnRate:
     """(3,) about its axes, rad/s."""
     topic_type: ClassVar[str] = "turn_rate"
     measured: ClassVar[str] = "rate"
-    is_empty: ClassVar[bool] = False
-    duration: ClassVar[float] = 0.0
-
-    @property
-    def content(self) -> str:
-        """See :class:`Image`."""
-        return "a turn rate"
+    content: ClassVar[str] = "a turn rate"
 
 
 @dataclass(frozen=True)

@@ -54,39 +54,37 @@ def color_clouds(
     """
     T_root_sensor = displaced_poses(calibration, state)
     shown: dict[str, list[Cloud]] = {}
+
+    def color(name: str, x_root: Array) -> Colors:
+        if state.coloring == "height":
+            return color_by_height(x_root @ up_direction(calibration), heights)
+        return np.tile(np.array(sensor_color(calibration, name), dtype=np.uint8), (len(x_root), 1))
+
     for captured in _group_by_capture(calibration.pictures.snapshots, state.moment):
         scans = [s for s in captured if s.sensor in T_root_sensor and len(s.points)]
         if not scans:
             continue
-        # The points of all scanners jointly: each occludes points behind it in the cameras.
-        x_root = np.concatenate([to_root_frame(s, T_root_sensor) for s in scans])
+        points_of_scans = [to_root_frame(s, T_root_sensor) for s in scans]
         if state.coloring == "camera":
-            colors, in_view = colorize_from_snapshots(x_root, captured, cameras, T_root_sensor)
-            colors[~in_view] = _OUT_OF_VIEW_COLOR
-        elif state.coloring == "height":
-            colors = color_by_height(x_root @ up_direction(calibration), heights)
-        else:
-            colors = np.concatenate(
-                [_uniform_color(sensor_color(calibration, s.sensor), len(s.points)) for s in scans]
+            # The points of all scanners jointly: each occludes points behind it in the cameras.
+            colors, in_view = colorize_from_snapshots(
+                np.concatenate(points_of_scans), captured, cameras, T_root_sensor
             )
-        cuts = np.cumsum([len(s.points) for s in scans])[:-1]
-        for scan, of_scan in zip(scans, np.split(colors, cuts), strict=True):
+            colors[~in_view] = _OUT_OF_VIEW_COLOR
+            of_scans = np.split(colors, np.cumsum(list(map(len, points_of_scans)))[:-1])
+        else:
+            of_scans = [color(s.sensor, x_root) for s, x_root in zip(scans, points_of_scans, strict=True)]
+        for scan, of_scan in zip(scans, of_scans, strict=True):
             shown.setdefault(scan.sensor, []).append(Cloud(scan.points, of_scan))
     for view in calibration.pictures.floor_views:
         points = view.points
         if not len(points):
             points = floor_to_sensor_frame(calibration, view.sensor, view.background)
-        color = _uniform_color(sensor_color(calibration, view.sensor), len(points))
-        if state.coloring == "height":
-            x_root = se3.apply(T_root_sensor[view.sensor], points.astype(np.float64))
-            color = color_by_height(x_root @ up_direction(calibration), heights)
-        shown[view.sensor] = [Cloud(points, color)]
+        x_root = se3.apply(T_root_sensor[view.sensor], points.astype(np.float64))
+        shown[view.sensor] = [Cloud(points, color(view.sensor, x_root))]
     for name, x_root in place_drive(calibration, state):
-        color = _uniform_color(sensor_color(calibration, name), len(x_root))
-        if state.coloring == "height":
-            color = color_by_height(x_root @ up_direction(calibration), heights)
         points = se3.apply(se3.inverse(T_root_sensor[name]), x_root).astype(np.float32)
-        shown.setdefault(name, []).append(Cloud(points, color))
+        shown.setdefault(name, []).append(Cloud(points, color(name, x_root)))
     return {name: _merge_clouds(parts) for name, parts in shown.items()}
 
 
@@ -137,10 +135,6 @@ def floor_to_sensor_frame(calibration: Calibration, name: str, positions: Array)
     """(N, 3) in a scanner's frame of positions (N, 2) on the floor of the plan, m."""
     T_plan_sensor = calibration.pictures.T_plan_root @ calibration[name].T_root_sensor
     return se3.apply(se3.inverse(T_plan_sensor), np.pad(positions, ((0, 0), (0, 1)))).astype(np.float32)
-
-
-def _uniform_color(color: tuple[int, int, int], count: int) -> Colors:
-    return np.tile(np.array(color, dtype=np.uint8), (count, 1))
 
 
 def _group_by_capture(snapshots: Iterable[Snapshot], moment: float | None) -> list[list[Snapshot]]:

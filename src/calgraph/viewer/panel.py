@@ -1,15 +1,14 @@
 """The controls beside the scene, and the state that they select."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from threading import Event, Lock
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calgraph.geometry import Array, plane, se3
-from calgraph.result import BoardOutline, Calibration
+from calgraph.result import BoardOutline, Calibration, FitError
 from calgraph.result.evidence import rms
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
@@ -39,6 +38,9 @@ class Panel:
         self, gui: "GuiApi", calibration: Calibration, cameras: Mapping[str, CameraModel], display: SceneDisplay
     ) -> None:
         self._gui, self._calibration, self._cameras, self._display = gui, calibration, cameras, display
+        self._network, self._drive = (
+            bool(of) for of in (calibration.pictures.floor_views, calibration.pictures.drive_paths)
+        )
         self._changing = Lock()
         self._playing, self._closed = Lock(), Event()
         self._shown: ViewState | None = None
@@ -84,8 +86,7 @@ class Panel:
         self._closed.set()
 
     def _add_time(self) -> None:
-        network, several = bool(self._calibration.pictures.floor_views), len(self.moments) > 1
-        drive = bool(self._calibration.pictures.drive_paths)
+        network, drive, several = self._network, self._drive, len(self.moments) > 1
         self._step = _TIME_STEP if network else 1
         last = self._step * (len(self.moments) - 1 if several else 1)
         # The first capture may be of the empty scene, or of a board that was not used.
@@ -142,9 +143,8 @@ class Panel:
         self.refresh()
 
     def _add_appearance(self) -> None:
-        network = bool(self._calibration.pictures.floor_views)
+        network, drive = self._network, self._drive
         solid = any(len(view.points) for view in self._calibration.pictures.floor_views)
-        drive = bool(self._calibration.pictures.drive_paths)
         usable = {
             words: c
             for words, c in _COLORINGS.items()
@@ -186,20 +186,19 @@ class Panel:
         if now:
             lines += ["", "| sensor | RMS residual |", "| --- | --- |"]
             lines += [
-                f"| {_escape_markdown(name)} | {before[name]}"
-                + (f" → **{fit}** |" if name == state.moved_sensor else " |")
+                f"| {_escape_markdown(name)} | {before[name].formatted}"
+                + (f" → **{fit.formatted}** |" if name == state.moved_sensor else " |")
                 for name, fit in now.items()
             ]
         return "\n".join(lines)
 
     def _describe_moment(self, state: ViewState) -> str:
-        network, paths = bool(self._calibration.pictures.floor_views), self._calibration.pictures.drive_paths
         if state.moment is None:
-            return "All walks" if network else "All parts" if paths else "All captures"
-        if paths:
-            times = paths[int(state.moment)].times
+            return "All walks" if self._network else "All parts" if self._drive else "All captures"
+        if self._drive:
+            times = self._calibration.pictures.drive_paths[int(state.moment)].times
             return f"From {times[0]:.0f} to {times[-1]:.0f} s of the drive"
-        if network:
+        if self._network:
             return f"{state.moment:.1f} s"
         row = next((row for row in self._calibration.evidence.captures if row.capture == state.moment), None)
         return f"Capture {state.moment:.0f}" + (f", {row.start:.1f} to {row.end:.1f} s" if row else "")
@@ -227,23 +226,10 @@ def _escape_markdown(name: str) -> str:
     return "".join(f"\\{c}" if c in "\\`*_{}[]()#+-.!|<>" else c for c in name)
 
 
-@dataclass(frozen=True)
-class Misalignment:
-    """RMS residual of one sensor over the used captures."""
-
-    rms: float
-    unit: Literal["px", "m"]
-    """px: reprojection error of corners; m: distance of a scanner's points from the board, or from surfaces."""
-
-    def __str__(self) -> str:
-        """The value with its unit."""
-        return f"{self.rms:.2f} px" if self.unit == "px" else f"{1000 * self.rms:.1f} mm"
-
-
 def compute_misalignments(
     calibration: Calibration, cameras: Mapping[str, CameraModel], state: ViewState
-) -> dict[str, Misalignment]:
-    """By sensor, at the selected moment; without sensors that have no used detection then."""
+) -> dict[str, FitError]:
+    """By sensor the residuals at the selected moment; without sensors that have no used detection then."""
     T_root_moved = displaced_poses(calibration, state)
     outlines: dict[int, list[BoardOutline]] = {}
     for outline in calibration.pictures.board_outlines:
@@ -265,11 +251,11 @@ def compute_misalignments(
             T, T_moved = calibration[name].T_root_sensor, T_root_moved[name]
             by = place_points(driven, path, T_moved) - place_points(driven, path, T)
             off.setdefault(name, []).append(driven.residuals + np.einsum("ni,ni->n", by, driven.normals))
-    together = {name: rms(np.concatenate(parts)) for name, parts in off.items()}
+    together = {name: np.concatenate(parts) for name, parts in off.items()}
     return {
-        name: Misalignment(value, "px" if name in cameras else "m")
-        for name, value in together.items()
-        if value is not None
+        name: FitError(len(errors), "px" if name in cameras else "m", size)
+        for name, errors in together.items()
+        if (size := rms(errors)) is not None
     }
 
 

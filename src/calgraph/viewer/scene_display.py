@@ -1,7 +1,7 @@
 """The scene in the browser: its objects, and their update to a view state."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.sensor_pose import error_ellipsoid
+from calgraph.result.sensor_pose import choose_axis_length, error_ellipsoid
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
 from calgraph.viewer.colored_clouds import Cloud, color_clouds, height_range, sensor_color
@@ -35,7 +35,7 @@ class SceneDisplay:
         self.with_points = {False: calibration, True: calibration.with_corrected_points()}
         """The calibration with points as published, and with corrected ones."""
         self._heights = height_range(calibration)
-        self.axis_length = axis_length(calibration)
+        self.axis_length = choose_axis_length(calibration.sensors, longest=1.0)
         pictures = calibration.pictures
         self._point_size = 0.035 if pictures.floor_views or pictures.drive_paths else 0.012
         self._number = {sensor.name: k for k, sensor in enumerate(calibration.sensors)}
@@ -117,12 +117,14 @@ class SceneDisplay:
         vertical = up_direction(self._calibration)
         pictures = self._calibration.pictures
         level = -pictures.T_plan_root[2, 3] if pictures.floor_views else self._heights[0]
-        self._scene.add_line_segments(
-            "/ground",
-            ground_grid(vertical) + level * vertical,
-            (52, 55, 62),
-            thickness=1.0,
-            thickness_units="screen",
+        self._add_lines("/ground", ground_grid(vertical) + level * vertical, (52, 55, 62), 1.0)
+
+    def _add_lines(
+        self, at: str, lines: NDArray[Any], color: tuple[int, int, int], width: float, layer: str = ""
+    ) -> "SceneNodeHandle":
+        """Adds lines (K, 2, 3) of a width in pixels, which are visible if their layer is."""
+        return self._scene.add_line_segments(
+            at, lines, color, thickness=width, thickness_units="screen", visible=layer not in self._hidden
         )
 
     def _show_clouds(self, found: Mapping[str, Cloud], moment: float | None) -> None:
@@ -162,11 +164,10 @@ class SceneDisplay:
             and not self._calibration.pictures.drive_paths
         ):
             red, green, blue = sensor_color(self._calibration, name)
-            self._nodes["beams"][name] = self._scene.add_line_segments(
-                f"{self._node_path(name)}/beams", sample_beams(cloud.points), (red // 3, green // 3, blue // 3),
-                thickness=1.0,
-                thickness_units="screen", visible="beams" not in self._hidden,
-            )  # fmt: skip
+            color = red // 3, green // 3, blue // 3
+            self._nodes["beams"][name] = self._add_lines(
+                f"{self._node_path(name)}/beams", sample_beams(cloud.points), color, 1.0, "beams"
+            )
 
     def _show_pictures(self, moment: float | None) -> None:
         snapshots = {s.sensor: s for s in self._calibration.pictures.snapshots if s.image and s.capture == moment}
@@ -189,30 +190,31 @@ class SceneDisplay:
             [o.corners for o in self._calibration.pictures.board_outlines if moment in (None, o.capture)]
         )
         corners = corners.reshape(-1, 4, 3)
-        visible, color = "boards" not in self._hidden, _BOARD_COLOR if moment is None else _CURRENT_BOARD_COLOR
+        color = _BOARD_COLOR if moment is None else _CURRENT_BOARD_COLOR
         rims = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-        self._nodes["boards"]["rims"] = self._scene.add_line_segments(
-            "/boards/rims", rims, color, thickness=1.0 if moment is None else 3.0, thickness_units="screen",
-            visible=visible,
-        )  # fmt: skip
+        self._nodes["boards"]["rims"] = self._add_lines(
+            "/boards/rims", rims, color, 1.0 if moment is None else 3.0, "boards"
+        )
         triangles = 4 * np.arange(len(corners))[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
         self._nodes["boards"]["faces"] = self._scene.add_mesh_simple(
             "/boards/faces", corners.reshape(-1, 3), triangles.reshape(-1, 3), color=color, side="double",
-            opacity=0.04 if moment is None else 0.25, cast_shadow=False, receive_shadow=False, visible=visible,
+            opacity=0.04 if moment is None else 0.25, cast_shadow=False, receive_shadow=False,
+            visible="boards" not in self._hidden,
         )  # fmt: skip
 
     def _show_walks(self, state: ViewState) -> None:
         for name, trail in compute_trails(self._calibration, state).items():
             color = sensor_color(self._calibration, name)
-            visible = "walks" not in self._hidden
-            self._nodes["walks"][f"{name} trail"] = self._scene.add_line_segments(
-                f"{self._node_path(name)}/trail", trail.segments, color,
-                thickness=1.5 if state.moment is None else 3,
-                thickness_units="screen", visible=visible,
-            )  # fmt: skip
+            self._nodes["walks"][f"{name} trail"] = self._add_lines(
+                f"{self._node_path(name)}/trail",
+                trail.segments,
+                color,
+                1.5 if state.moment is None else 3,
+                "walks",
+            )
             self._nodes["walks"][f"{name} people"] = self._scene.add_point_cloud(
                 f"{self._node_path(name)}/people", trail.people, color, point_size=0.25, point_shape="circle",
-                precision="float32", visible=visible,
+                precision="float32", visible="walks" not in self._hidden,
             )  # fmt: skip
 
     def _show_paths(self, moment: float | None) -> None:
@@ -244,15 +246,6 @@ def ground_grid(vertical: Array) -> Array:
     along = np.stack([np.stack([at, 0 * at + end], axis=-1) for end in (-_GROUND_EXTENT, _GROUND_EXTENT)], axis=1)
     flat = np.concatenate([along, along[..., ::-1]])
     return np.asarray(flat @ plane.tangent_basis(vertical).T)
-
-
-def axis_length(calibration: Calibration) -> float:
-    """Length of a frame's axes, m: clear of its neighbours, yet visible."""
-    origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
-    distances = np.linalg.norm(origins[:, None] - origins, axis=-1)
-    np.fill_diagonal(distances, np.inf)
-    nearest = distances.min(axis=1)
-    return float(np.clip(0.4 * np.median(nearest), 0.05, 1.0)) if np.isfinite(nearest).all() else 0.25
 
 
 def _wxyz(R: Array) -> Array:

@@ -14,9 +14,4 @@ FLOOR = SensorKind(
     shape="axes",
     color="#a8a8a8",
     default_name="floor",
-    drafted_noise="",
-    residual="",
-    noise_causes="",
-    error_causes="",
-    correction="",
 )

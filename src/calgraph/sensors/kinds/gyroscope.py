@@ -24,7 +24,6 @@ GYROSCOPE = SensorKind(
     shape="axes",
     color="#f08a8a",
     default_name="imu",
-    drafted_noise="",
     residual="error of turn rates",
     noise_causes="check that its rates are in rad/s",
     error_causes="that its rates are in rad/s",

@@ -6,9 +6,8 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.io.quantities import DegreeStddev, Metres, Ratio, Tilt
-from calgraph.io.strict_model import StrictModel
 from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind, foxglove_types
-from calgraph.sensors.kinds.stated import BeamError, ClockOffset, Name, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import BeamError, RangeUncertainty, ScannerSpec
 from calgraph.sensors.messages import LaserScan, Message, PointCloud
 
 
@@ -38,17 +37,10 @@ def _turn_by_azimuth(directions: Array) -> Array:
     return np.asarray(rotations, dtype=np.float64)
 
 
-class Lidar2dSpec(StrictModel):
+class Lidar2dSpec(ScannerSpec):
     """A 2-D laser scanner of the rig."""
 
     kind: Literal["lidar2d"] = "lidar2d"
-    topic: Name
-    """Topic of its messages; in a plain folder the sensor's folder."""
-    frame_id: Name | None = None
-    """The sensor's frame; that of its messages' headers if left out."""
-    clock_offset: ClockOffset | None = None
-    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
-    noise: RangeNoise = RangeNoise()
     mounting: Literal["upright", "inverted"] | None = None
     """Of a network's scanner: inverted if it is mounted upside-down. Recognised from mirrored tracks if left out;
     the root is then taken as upright."""

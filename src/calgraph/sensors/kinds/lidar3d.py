@@ -3,9 +3,8 @@
 from typing import Literal
 
 from calgraph.io.quantities import LengthStddev
-from calgraph.io.strict_model import StrictModel
 from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind, foxglove_types
-from calgraph.sensors.kinds.stated import ClockOffset, Name, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import RangeUncertainty, ScannerSpec
 from calgraph.sensors.messages import PointCloud
 
 
@@ -17,17 +16,10 @@ class Lidar3dUncertainty(RangeUncertainty):
     mm and the others by less."""
 
 
-class Lidar3dSpec(StrictModel):
+class Lidar3dSpec(ScannerSpec):
     """A 3-D LiDAR of the rig."""
 
     kind: Literal["lidar3d"] = "lidar3d"
-    topic: Name
-    """Topic of its messages; in a plain folder the sensor's folder."""
-    frame_id: Name | None = None
-    """The sensor's frame; that of its messages' headers if left out."""
-    clock_offset: ClockOffset | None = None
-    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
-    noise: RangeNoise = RangeNoise()
     uncertainty: Lidar3dUncertainty = Lidar3dUncertainty()
 
 

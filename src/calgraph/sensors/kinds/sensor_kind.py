@@ -14,11 +14,6 @@ OPTICAL_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "y
 """The same with z forward and y down."""
 
 
-def claims_none(_: Message) -> bool:
-    """Of kinds that are known from the type of a topic."""
-    return False
-
-
 def foxglove_types(*names: str) -> tuple[str, ...]:
     """Names of types of Foxglove's messages: in its own schemas, and as messages of ROS."""
     return tuple(f"{package}{name}" for name in names for package in ("foxglove.", "foxglove_msgs/msg/"))
@@ -49,17 +44,17 @@ class SensorKind:
     """In which it is drawn on a dark page."""
     default_name: str
     """Of a sensor whose topic has only generic parts."""
-    drafted_noise: str
+    drafted_noise: str = ""
     """The noise that a drafted rig.yaml states."""
-    residual: str
+    residual: str = ""
     """What its residuals on a board are called."""
-    noise_causes: str
+    noise_causes: str = ""
     """What to check where its measurements are noisier than stated,"""
-    error_causes: str
+    error_causes: str = ""
     """and where its residuals contradict those of other sensors."""
-    correction: str
+    correction: str = ""
     """How its data are corrected by its systematic parameters, for people and other programs."""
-    claims: Callable[[Message], bool] = claims_none
+    claims: Callable[[Message], bool] = lambda _message: False
     """Whether a topic is of this kind by its first message, for any type of topic."""
     convert: Callable[[Image, CameraModel], Message] | None = None
     """What its images measured, with its intrinsics, of kinds whose images are not searched themselves. Raises

@@ -169,6 +169,19 @@ class RangeUncertainty(TimeUncertainty):
         )
 
 
+class ScannerSpec(StrictModel):
+    """What a 2-D scanner and a 3-D LiDAR state."""
+
+    kind: str
+    topic: Name
+    """Topic of its messages; in a plain folder the sensor's folder."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages' headers if left out."""
+    clock_offset: ClockOffset | None = None
+    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
+    noise: RangeNoise = RangeNoise()
+
+
 class MotionSpec(StrictModel):
     """What a sensor states that measures motion only, and is calibrated in a drive."""
 

@@ -41,7 +41,6 @@ TRAJECTORY = SensorKind(
     shape="axes",
     color="#e8e08a",
     default_name="odometry",
-    drafted_noise="",
     residual="error of motions",
     noise_causes="check that its poses are in m and of one frame",
     error_causes="that its poses are in m and of one frame",
