@@ -7,9 +7,10 @@ from typing import Any
 
 from calgraph.config import Rig
 from calgraph.live.rig_session import RigSession, Solve
+from calgraph.live.sensor_solution import Solution
 from calgraph.live.session import Session, SessionPools
 from calgraph.live.source import LiveMessage, make_message
-from calgraph.live.state import Action, SessionState
+from calgraph.live.state import Action, SensorState, SessionState
 from calgraph.recording import Recording
 from calgraph.sensors import Message
 
@@ -46,7 +47,7 @@ class WaitingExecutor(Executor):
             future.set_result(result)
 
 
-class GivenSession(Session):
+class GivenSession(Session[Solution]):
     """A session of a state that it is given; it computes nothing, and keeps what the operator wants."""
 
     def __init__(self, rig: Rig, state: SessionState, print_line: Callable[[str], object]) -> None:
@@ -57,6 +58,9 @@ class GivenSession(Session):
 
     def describe(self) -> SessionState:
         return self.given
+
+    def describe_sensor(self, name: str) -> SensorState:
+        return SensorState(name, self.rig.sensors[name].kind)
 
     def act(self, action: Action) -> None:
         self.actions.append(action)

@@ -215,7 +215,7 @@ def test_the_state_says_of_how_much_the_poses_are(fed: Fed) -> None:
 def test_an_error_is_stated_and_the_next_solution_follows(fed: Fed) -> None:
     fed.feed(9)
     fed.pool.finish(RuntimeError("no memory"))
-    assert fed.session.state().headline == "No poses from the recording until now: no memory"
+    assert fed.session.state().headline == "No poses from what was recorded until now: no memory"
     fed.feed(5)
     fed.pool.finish(solution(14.0))
     assert "no memory" not in fed.session.state().headline

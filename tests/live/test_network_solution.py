@@ -21,7 +21,7 @@ from calgraph.simulation import (
     load_truth,
     simulate_network,
 )
-from calgraph.simulation.hall_simulation import record_hall
+from calgraph.simulation.hall_simulation import record_hall, simulate_hall
 
 SCENARIO = NetworkScenario(
     layout="office", duration=24.0, scanner=ScannerOptions(count=3, resolution=1.0, rate=10.0)
@@ -60,7 +60,7 @@ def with_intervals(rig: Rig, monkeypatch: pytest.MonkeyPatch, interval: float, m
 
 
 def assert_same_poses(live: LiveNetworkSolution, calibration: Calibration) -> None:
-    for scanner in live.scanners:
+    for scanner in live.sensors:
         assert scanner.T_root_sensor is not None
         np.testing.assert_array_equal(scanner.T_root_sensor, calibration[scanner.name].T_root_sensor)
         assert scanner.grade == calibration[scanner.name].verdict.grade
@@ -75,7 +75,7 @@ def test_poses_are_those_of_the_command(recorded: Recorded, solution: LiveNetwor
 def test_standard_deviations_are_along_the_axes_of_the_scanner(
     recorded: Recorded, solution: LiveNetworkSolution
 ) -> None:
-    root, *others = solution.scanners
+    root, *others = solution.sensors
     assert root.stddev.tolist() == [0] * 6
     for scanner in others:
         sensor = recorded[2][scanner.name]
@@ -93,7 +93,7 @@ def test_poses_of_joined_intervals_agree_with_those_of_the_whole(
     rig, path, calibration = recorded
     found = solve(with_intervals(rig, monkeypatch, 8, 4), path)
     assert len(found.progress.intervals) == 2
-    for scanner in found.scanners[1:]:
+    for scanner in found.sensors[1:]:
         assert scanner.T_root_sensor is not None
         sensor = calibration[scanner.name]
         off = np.abs(scanner.T_root_sensor[:2, 3] - sensor.T_root_sensor[:2, 3])
@@ -107,7 +107,7 @@ def test_intervals_are_not_tracked_again(recorded: Recorded, monkeypatch: pytest
     again = solve(rig, path, first)
     assert again.progress.until == first.progress.until
     assert again.progress.intervals == first.progress.intervals != ()
-    for one, other in zip(first.scanners, again.scanners, strict=True):
+    for one, other in zip(first.sensors, again.sensors, strict=True):
         assert one.T_root_sensor is not None
         np.testing.assert_array_equal(one.T_root_sensor, other.T_root_sensor)
 
@@ -133,8 +133,8 @@ def test_scanners_without_messages_have_the_reason(recorded: Recorded, tmp_path:
         for record in recording.records(list(rig.topics.values())[:2], end=recording.start + 12):
             writer.write(record.topic, record.decode(), record.arrival)
     found = solve(rig, tmp_path / "two")
-    assert found.scanners[2].reason == "it has sent no messages yet"
-    assert found.scanners[2].T_root_sensor is None
+    assert found.sensors[2].reason == "it has sent no messages yet"
+    assert found.sensors[2].T_root_sensor is None
 
 
 def test_a_lone_root_has_no_pose(recorded: Recorded, tmp_path: Path) -> None:
@@ -143,8 +143,8 @@ def test_a_lone_root_has_no_pose(recorded: Recorded, tmp_path: Path) -> None:
         for record in recording.records(end=recording.start + 1):
             writer.write(record.topic, record.decode(), record.arrival)
     found = solve(rig, tmp_path / "short")
-    assert [one.T_root_sensor for one in found.scanners] == [None] * 3
-    assert not replace(found, scanners=()).done
+    assert [one.T_root_sensor for one in found.sensors] == [None] * 3
+    assert not replace(found, sensors=()).done
     assert found.grid is None
 
 
@@ -187,7 +187,7 @@ def test_a_scanner_moved_between_two_intervals_has_its_pose_after_that(
     monkeypatch.setattr("calgraph.live.tracked_intervals._OVERLAP", 12)
     found = solve(rig, tmp_path / "network/recording")
     assert len(found.progress.intervals) == 2
-    (other,) = found.scanners[1:]
+    (other,) = found.sensors[1:]
     truth = load_truth(tmp_path / "network/truth.yaml").T_root_sensor[other.name]
     assert other.T_root_sensor is not None
     assert np.linalg.norm((other.T_root_sensor - truth)[:2, 3]) < 0.02
@@ -200,15 +200,15 @@ def test_lidars_of_a_hall_are_calibrated_and_drawn_on_a_level_plan(
 ) -> None:
     """From the last 15 s of 20; people walk on the floor between the LiDARs."""
     monkeypatch.setattr("calgraph.live.network_solution._MAX_DURATION", 15.0)
-    record_hall(HallScenario(5, duration=20.0, lidars=("vlp16",) * 2), tmp_path, lambda *_: None)
+    record_hall(simulate_hall(HallScenario(5, duration=20.0, lidars=("vlp16",) * 2)), tmp_path, lambda *_: None)
     rig = load_rig(tmp_path / "rig.yaml")
     found = solve(rig, tmp_path / "recording")
     assert found.used == pytest.approx(15.0, abs=0.2)
     assert found.recorded == pytest.approx(20.0, abs=0.5)
-    assert [one.tracks > 0 for one in found.scanners] == [True, True]
+    assert [one.tracks > 0 for one in found.sensors] == [True, True]
     truth = load_truth(tmp_path / "truth.yaml").T_root_sensor
     places = []
-    for one in found.scanners:
+    for one in found.sensors:
         assert one.T_root_sensor is not None
         assert np.linalg.norm(one.T_root_sensor[:3, 3] - truth[one.name][:3, 3]) < 0.1
         places.append(one.express_in(found.T_plan_root).origin)

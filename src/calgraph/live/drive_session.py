@@ -16,7 +16,7 @@ from calgraph.live.drive_motion import DriveMotion, list_needs, measure_motions,
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.recorded_files import open_growing
 from calgraph.live.recorded_session import RecordedSession
-from calgraph.live.sensor_solution import SensorSolution, describe_sensors
+from calgraph.live.sensor_solution import Solution, describe_sensors
 from calgraph.live.session import ALL_DONE, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Advice, Need, Phase, SceneState, SessionState
@@ -31,20 +31,13 @@ _AGAIN = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class LiveDriveSolution:
+class LiveDriveSolution(Solution):
     """The calibration of a drive from what was recorded until some time."""
 
-    sensors: tuple[SensorSolution, ...]
-    """In the order of rig.yaml."""
     end: float
     """Arrival up to which messages were used, s."""
     problem: str = ""
     """Why there is no calibration, if there is none."""
-
-    @property
-    def done(self) -> bool:
-        """Whether all sensors have good poses."""
-        return bool(self.sensors) and all(sensor.grade == "good" for sensor in self.sensors)
 
 
 def solve_drive(rig: Rig, path: Path, last: LiveDriveSolution | None) -> LiveDriveSolution | None:  # noqa: ARG001
@@ -135,33 +128,23 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
             return True
         if self.solution is None:
             return all(need.optional or need.done for need in self._list_needs())
-        return not self.solution.done and self.timeline.latest_arrival >= self.solution.end + _AGAIN
+        return not self.done and self.timeline.latest_arrival >= self.solution.end + _AGAIN
 
     def describe(self) -> SessionState:
-        """The session now, without what concerns source, recorder and end."""
-        rig, solution = self.rig, self.solution
-        solved = {one.name: one for one in solution.sensors} if solution else {}
-        posed = tuple(one for one in solved.values() if one.T_root_sensor is not None)
-        done = solution is not None and solution.done
-        needs = self._list_needs()
+        """The session now; see :meth:`Session.describe`."""
+        solution, needs = self.solution, self._list_needs()
         lacking = [need.advice for need in needs if not need.done]
         phase, headline = self.find_unheard() or self._describe_phase(lacking)
-        reasons = [clause for one in solved.values() if one.reason for clause in split_clauses(one.reason)]
+        reasons = [clause for one in solution.sensors for clause in split_clauses(one.reason)] if solution else []
         advice = "; ".join(dict.fromkeys([*lacking, *reasons]))
         unknown = f"Turns and way are not known: {self._measuring}: {self._unknown}" if self._unknown else ""
         return SessionState(
-            kind="drive",
-            phase=phase,
-            headline=headline,
-            source=self._source,
-            root=rig.root,
-            sensors=tuple(self.describe_sensor(name, solved.get(name)) for name in rig.sensors),
-            advice=Advice(advice) if advice and not done else None,
-            tolerance_mm=1000 * rig.tolerance.translation,
-            tolerance_degrees=rig.tolerance.rotation,
-            done=done,
+            "drive",
+            phase,
+            headline,
+            advice=Advice(advice) if advice and not self.done else None,
             notices=(unknown,) if unknown else (),
-            scene=SceneState(posed) if posed else None,
+            scene=SceneState(solution.posed) if solution and solution.posed else None,
             needs=needs,
         )
 
@@ -171,7 +154,7 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
 
     def _describe_phase(self, lacking: list[str]) -> tuple[Phase, str]:
         solution = self.solution
-        if solution and solution.done:
+        if self.done:
             return "ready", ALL_DONE
         if not self._solver.idle:
             return "waiting", "What was recorded is being calibrated: drive on"

@@ -30,7 +30,7 @@ _IDLE_CHECK = 0.002
 
 
 async def record_session(
-    source: Source, write: Callable[[LiveMessage], Awaitable[None]], session: Session
+    source: Source, write: Callable[[LiveMessage], Awaitable[None]], session: Session[Any]
 ) -> None:
     """Records and feeds messages until the source or the recording ends, or the operator wants to finish.
 
@@ -183,7 +183,7 @@ def _open_pools(rig: Rig, post: Post) -> Iterator[SessionPools]:
 
 def _make_session(
     rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, print_line: Callable[[str], object]
-) -> Session:
+) -> Session[Any]:
     """A session that goes on where the recording in the folder ends."""
     if rig.is_network:
         return NetworkSession(rig, source, pools, folder.recording, print_line)
@@ -196,7 +196,9 @@ def _make_session(
     return session
 
 
-async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session, options: LiveOptions) -> int:
+async def _run(
+    rig: Rig, source: Source, folder: SessionFolder, session: Session[Any], options: LiveOptions
+) -> int:
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))

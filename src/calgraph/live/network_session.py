@@ -4,6 +4,7 @@ import math
 from functools import cached_property
 
 from calgraph.config.settings import LiveNetworkSettings
+from calgraph.errors import Rejected
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
@@ -41,9 +42,7 @@ class Forecast:
     def add(self, solution: LiveNetworkSolution) -> None:
         """Takes a solution; those that used no new messages replace the last."""
         duration = solution.recorded
-        uncertainties = {
-            scanner.name: scanner.uncertainty for scanner in solution.scanners if scanner.T_root_sensor is not None
-        }
+        uncertainties = {one.name: one.uncertainty for one in solution.posed}
         if self._history and duration <= self._history[-1][0]:
             self._history.pop()
         self._history.append((duration, uncertainties))
@@ -87,23 +86,15 @@ class NetworkSession(RecordedSession[LiveNetworkSolution]):
         return Forecast(self.rig.settings.live.network)
 
     def describe(self) -> SessionState:
-        """The session now, without what concerns source, recorder and end."""
-        rig, solution = self.rig, self.solution
-        solved = {one.name: one for one in solution.scanners} if solution else {}
-        done = solution is not None and solution.done
+        """The session now; see :meth:`Session.describe`."""
+        solution = self.solution
         phase, headline = self.find_unheard() or _describe_phase(solution, self._forecast)
         lag = _describe_lag(self.timeline, solution)
         return SessionState(
-            kind="network",
-            phase=phase,
-            headline=headline,
-            source=self._source,
-            root=rig.root,
-            sensors=tuple(self.describe_sensor(name, solved.get(name)) for name in rig.sensors),
-            advice=None if solution is None or done else _advise(solution, self._forecast),
-            tolerance_mm=1000 * rig.tolerance.translation,
-            tolerance_degrees=rig.tolerance.rotation,
-            done=done,
+            "network",
+            phase,
+            headline,
+            advice=None if solution is None or self.done else _advise(solution, self._forecast),
             notices=(*([lag] if lag else []), *(solution.remarks if solution else ())),
             scene=self._scene,
         )
@@ -114,13 +105,13 @@ class NetworkSession(RecordedSession[LiveNetworkSolution]):
         first = begin + self.rig.settings.live.network.first
         return self.timeline.latest_arrival >= (self.solution.end + PAUSE if self.solution else first)
 
-    def take(self, solution: LiveNetworkSolution) -> None:
-        """See :meth:`RecordedSession.take`."""
-        self._forecast.add(solution)
-        connected = tuple(
-            one.express_in(solution.T_plan_root) for one in solution.scanners if one.T_root_sensor is not None
-        )
-        self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
+    def take(self, solution: LiveNetworkSolution | Rejected | None) -> None:
+        """See :meth:`Session.take`."""
+        super().take(solution)
+        if isinstance(solution, LiveNetworkSolution):
+            self._forecast.add(solution)
+            connected = tuple(one.express_in(solution.T_plan_root) for one in solution.posed)
+            self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
 
 
 def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) -> tuple[Phase, str]:
@@ -149,13 +140,13 @@ def _format_minutes(minutes: float) -> str:
 
 def _find_unconnected(solution: LiveNetworkSolution) -> list[SensorSolution]:
     """The scanners without a pose, those that have detected no person first."""
-    apart = [one for one in solution.scanners if one.T_root_sensor is None]
+    apart = [one for one in solution.sensors if one.T_root_sensor is None]
     return sorted(apart, key=lambda one: one.tracks > 0)
 
 
 def _find_weak(solution: LiveNetworkSolution) -> list[SensorSolution]:
     """The scanners with a pose that is not good, the worst first."""
-    weak = [one for one in solution.scanners if one.T_root_sensor is not None and one.grade != "good"]
+    weak = [one for one in solution.posed if one.grade != "good"]
     return sorted(weak, key=lambda one: -one.uncertainty)
 
 

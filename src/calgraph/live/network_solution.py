@@ -14,7 +14,7 @@ from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
 from calgraph.live.recorded_files import open_growing
-from calgraph.live.sensor_solution import SensorSolution, describe_sensors
+from calgraph.live.sensor_solution import SensorSolution, Solution, describe_sensors
 from calgraph.live.tracked_intervals import (
     RecordingWindow,
     TrackingProgress,
@@ -33,11 +33,9 @@ from calgraph.result import Calibration
 
 
 @dataclass(frozen=True, eq=False)
-class LiveNetworkSolution:
+class LiveNetworkSolution(Solution):
     """The calibration of a network from what was recorded until some time."""
 
-    scanners: tuple[SensorSolution, ...]
-    """In the order of rig.yaml."""
     grid: FloorGrid | None
     """Walls, where people walked and where they should; None as long as nothing is connected."""
     start: float
@@ -58,11 +56,6 @@ class LiveNetworkSolution:
     """Of the calibration as a whole."""
     T_plan_root: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) pose of the root on the plan of the floor."""
-
-    @property
-    def done(self) -> bool:
-        """Whether all scanners have good poses."""
-        return bool(self.scanners) and all(scanner.grade == "good" for scanner in self.scanners)
 
 
 def solve_recording(rig: Rig, path: Path, last: LiveNetworkSolution | None) -> LiveNetworkSolution | None:

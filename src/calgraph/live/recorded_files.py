@@ -1,10 +1,9 @@
 """The files of a recording that is made in several runs: a rosbag2 folder, as the tools of ROS 2 read it."""
 
-import logging
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from calgraph.config.settings import LimitSettings
@@ -80,25 +79,11 @@ def open_growing(path: Path, limits: LimitSettings) -> Iterator[Recording | None
 
     It has no end yet, which needs no warning.
     """
-    log = logging.getLogger("calgraph.recording")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        recording = _open_if_readable(path, limits)
-        if recording is None:
-            yield None
-            return
-        with recording:
-            yield recording
-    finally:
-        log.setLevel(level)
-
-
-def _open_if_readable(path: Path, limits: LimitSettings) -> Recording | None:
-    try:
-        return open_recording(path, limits)
-    except CalgraphError:
-        return None
+    with ExitStack() as stack:
+        recording = None
+        with suppress(CalgraphError):
+            recording = stack.enter_context(open_recording(path, limits, again=True))
+        yield recording
 
 
 def _list_files(folder: Path) -> list[Path]:

@@ -5,14 +5,12 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
 
 from calgraph.config import Rig
 from calgraph.errors import RecordingError, Rejected
 from calgraph.live.capture_finder import SILENCE, name_sensors
 from calgraph.live.live_timeline import LiveTimeline
-from calgraph.live.sensor_solution import SensorSolution
-from calgraph.live.session import ALL_DONE, Session, SessionPools
+from calgraph.live.session import S, Session, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Phase, SensorState
 
@@ -22,19 +20,7 @@ _MAX_LOAD = 0.5
 PAUSE = 2.0
 
 
-class Solution(Protocol):
-    """What a recording gave until some time."""
-
-    @property
-    def done(self) -> bool:
-        """Whether all sensors have good poses."""
-        ...
-
-
-S = TypeVar("S", bound=Solution)
-
-
-class RecordedSession(Session, Generic[S]):
+class RecordedSession(Session[S]):
     """Everything that is shown of poses is computed from the recording, so that sessions that are resumed go on.
 
     Args:
@@ -63,8 +49,6 @@ class RecordedSession(Session, Generic[S]):
         super().__init__(rig, source, pools, print_line)
         self._recording, self._clock = recording, clock
         self.timeline = LiveTimeline(rig.sensors)
-        self.solution: S | None = None
-        """The last one; None before the first."""
         self._began, self._next = 0.0, -math.inf
         """When the last solution began and when the next may, s."""
 
@@ -86,26 +70,18 @@ class RecordedSession(Session, Generic[S]):
         if not self.is_due():
             return
         self._began = self._clock()
-        self._solver.run(self._set_solution, self.solve, self.rig, self._recording, self.solution)
+        self._solver.run(self.take, self.solve, self.rig, self._recording, self.solution)
 
     @abstractmethod
     def is_due(self) -> bool:
         """Whether there is something to calibrate from that the last solution did not have."""
 
-    def take(self, solution: S) -> None:
-        """Takes a solution."""
-
-    def _set_solution(self, solution: S | Rejected | None) -> None:
+    def take(self, solution: S | Rejected | None) -> None:
+        """See :meth:`Session.take`."""
         # The process rests as long as it worked, where half of the time is allowed.
         now = self._clock()
         self._next = now + max(PAUSE, (now - self._began) * (1 / _MAX_LOAD - 1))
-        if isinstance(solution, Rejected):
-            self._problem = f"No poses from the recording until now: {solution.reason}"
-        elif solution is not None:
-            if solution.done and not (self.solution and self.solution.done):
-                self._print_line(ALL_DONE)
-            self.solution, self._problem = solution, ""
-            self.take(solution)
+        super().take(solution)
 
     def find_unheard(self) -> tuple[Phase, str] | None:
         """The phase and its headline while a sensor sends nothing."""
@@ -115,13 +91,13 @@ class RecordedSession(Session, Generic[S]):
             return "measuring", f"{name_sensors(silent)}: no messages any more"
         return None
 
-    def describe_sensor(self, name: str, solved: SensorSolution | None) -> SensorState:
-        """A sensor, by its messages and its last pose."""
+    def describe_sensor(self, name: str) -> SensorState:
+        """A sensor by its messages; see :meth:`Session.describe_sensor`."""
         difference = self.timeline.find_wrong_clocks().get(name, 0.0)
         clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
-        times = self.timeline.sensors[name]
+        times, solved = self.timeline.sensors[name], self.find_solved(name)
         problems = times.describe_malformed(), self._describe_silence(name), clock if difference else ""
-        state = SensorState(
+        return SensorState(
             name=name,
             kind=self.rig.sensors[name].kind,
             rate=times.rate,
@@ -129,7 +105,6 @@ class RecordedSession(Session, Generic[S]):
             reason=solved.reason if solved else "",
             captures=solved.tracks if solved else 0,
         )
-        return state.with_pose(solved, self.rig.root)
 
     def _describe_silence(self, name: str) -> str:
         age = self.timeline.age(name)

@@ -16,7 +16,6 @@ from calgraph.live.live_rig import TRIGGER_TOPIC, make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.replay import list_messages
 from calgraph.live.rig_solution import LiveSolution
-from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.session import ALL_DONE, Session, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Phase, SensorState, SessionState
@@ -38,7 +37,7 @@ def count_analysis_processes(rig: Rig) -> int:
     return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
 
 
-class RigSession(Session):
+class RigSession(Session[LiveSolution]):
     """Detects the board in live messages, takes captures, and calibrates after each of them.
 
     Captures are those that ``calgraph calibrate`` finds in the
@@ -70,8 +69,6 @@ class RigSession(Session):
         self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, print_line)
         self._queue = JobQueue(pools.analysis, pools.analysis_processes, pools.post, self.advance)
         self._queues.append(self._queue)
-        self.solution: LiveSolution | None = None
-        """The last one; None before the first."""
         self._solved_captures: tuple[object, ...] = ()
         self._advancing = False
 
@@ -118,33 +115,58 @@ class RigSession(Session):
         self.advance()
 
     def describe(self) -> SessionState:
-        """The session now, without what concerns source, recorder and end."""
+        """The session now; see :meth:`Session.describe`."""
         solution, taker = self.solution, self.taker
-        solved = {one.name: one for one in solution.sensors} if solution else {}
-        done = bool(solution and solution.done)
-        problems = taker.finder.find_problems()
-        phase, headline = _describe_phase(self.analysis, taker)
-        if done and phase == "ready":
-            headline = ALL_DONE
+        phase, headline = self._describe_phase()
         return SessionState(
-            kind="rig",
-            phase=phase,
-            headline=headline,
-            source=self._source,
+            "rig",
+            phase,
+            ALL_DONE if self.done and phase == "ready" else headline,
             automatic=taker.automatic,
-            root=self.rig.root,
-            sensors=tuple(
-                _describe_sensor(name, self.rig, self.analysis, taker, problems.get(name, ""), solved.get(name))
-                for name in self.rig.sensors
-            ),
             captures=len(taker.captures),
             event=taker.event,
             advice=solution.advice if solution else None,
-            tolerance_mm=1000 * self.rig.tolerance.translation,
-            tolerance_degrees=self.rig.tolerance.rotation,
-            done=done,
             scene=solution.scene if solution else None,
         )
+
+    def describe_sensor(self, name: str) -> SensorState:
+        """A sensor by its messages and captures; see :meth:`Session.describe_sensor`."""
+        analysis, captures = self.analysis, self.taker.captures
+        times, activity = analysis.timeline.sensors[name], analysis.sensors[name]
+        return SensorState(
+            name=name,
+            kind=self.rig.sensors[name].kind,
+            rate=times.rate,
+            problem=self.taker.finder.find_problems().get(name, "") or times.describe_malformed(),
+            sees_board=activity.view.sees_board if activity.view else None,
+            reason=activity.explain_view(),
+            moving=analysis.rests.is_moving(name),
+            captures=sum(name in capture.sensors for capture in captures),
+            coverage=count_coverage(name, self.rig, analysis.detectors.cameras.get(name), captures),
+            picture=activity.pictures,
+        )
+
+    def _describe_phase(self) -> tuple[Phase, str]:
+        analysis, taker = self.analysis, self.taker
+        unheard = [name for name in analysis.sensors if analysis.timeline.age(name) is None]
+        waiting = taker.waiting
+        if unheard:
+            return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
+        if analysis.background_left:
+            return "background", f"Stay out of view: {np.ceil(analysis.background_left):.0f} s to learn the room"
+        if waiting.problem:
+            return "ready", f"No captures are possible: {waiting.problem}"
+        if taker.searching:
+            return "measuring", "Searching for the board"
+        if waiting.phase == "measuring" and (taker.requested or taker.automatic):
+            names = name_sensors(waiting.sensors)
+            return "measuring", f"Hold still: {names} measuring" if names else "Hold still"
+        if taker.requested:
+            moving = f" (motion in {name_sensors(waiting.sensors)})" if waiting.sensors else ""
+            return "waiting", f"Hold the board still{moving}, or press again to capture while it moves"
+        if taker.automatic:
+            return "ready", "Hold the board still in a new pose"
+        return "ready", "Hold the board still and press the button"
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
@@ -182,7 +204,7 @@ class RigSession(Session):
         if self._solve is None or not captures or not self._solver.idle or captures == self._solved_captures:
             return
         self._solved_captures = captures
-        self._solver.run(self._set_solution, self._solve, self._state_intrinsics(), self.captures(), self.solution)
+        self._solver.run(self.take, self._solve, self._state_intrinsics(), self.captures(), self.solution)
 
     def _state_intrinsics(self) -> Rig:
         """The rig with the intrinsics that have arrived."""
@@ -194,16 +216,10 @@ class RigSession(Session):
         }
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
-    def _set_solution(self, solution: LiveSolution | Rejected) -> None:
-        if isinstance(solution, Rejected):
-            self._problem = f"No poses from the captures until now: {solution.reason}"
-            return
-        if not self.taker.captures:  # they were left out meanwhile
-            return
-        if solution.done and not (self.solution and self.solution.done):
-            self._print_line(ALL_DONE)
-        self.solution = solution
-        self._problem = ""
+    def take(self, solution: LiveSolution | Rejected | None) -> None:
+        """See :meth:`Session.take`; captures may have been left out meanwhile."""
+        if isinstance(solution, Rejected) or self.taker.captures:
+            super().take(solution)
 
     def _write_trigger(self, stamp: float) -> None:
         self.triggers.append(make_trigger(stamp, self.analysis.timeline.latest_arrival))
@@ -256,50 +272,3 @@ def find_captures(
         LiveCapture(hold, {name: by_hold[hold.index].get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
         for hold in holds
     ]
-
-
-def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:
-    unheard = [name for name in analysis.sensors if analysis.timeline.age(name) is None]
-    waiting = taker.waiting
-    if unheard:
-        return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
-    if analysis.background_left:
-        return "background", f"Stay out of view: {np.ceil(analysis.background_left):.0f} s to learn the room"
-    if waiting.problem:
-        return "ready", f"No captures are possible: {waiting.problem}"
-    if taker.searching:
-        return "measuring", "Searching for the board"
-    if waiting.phase == "measuring" and (taker.requested or taker.automatic):
-        names = name_sensors(waiting.sensors)
-        return "measuring", f"Hold still: {names} measuring" if names else "Hold still"
-    if taker.requested:
-        moving = f" (motion in {name_sensors(waiting.sensors)})" if waiting.sensors else ""
-        return "waiting", f"Hold the board still{moving}, or press again to capture while it moves"
-    if taker.automatic:
-        return "ready", "Hold the board still in a new pose"
-    return "ready", "Hold the board still and press the button"
-
-
-def _describe_sensor(
-    name: str,
-    rig: Rig,
-    analysis: MessageAnalysis,
-    taker: CaptureTaker,
-    problem: str,
-    solved: SensorSolution | None,
-) -> SensorState:
-    timeline, activity = analysis.timeline, analysis.sensors[name]
-    view = activity.view
-    state = SensorState(
-        name=name,
-        kind=rig.sensors[name].kind,
-        rate=timeline.sensors[name].rate,
-        problem=problem or timeline.sensors[name].describe_malformed(),
-        sees_board=view.sees_board if view else None,
-        reason=activity.explain_view(),
-        moving=analysis.rests.is_moving(name),
-        captures=sum(name in capture.sensors for capture in taker.captures),
-        coverage=count_coverage(name, rig, analysis.detectors.cameras.get(name), taker.captures),
-        picture=activity.pictures,
-    )
-    return state.with_pose(solved, rig.root)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
-from calgraph.live.sensor_solution import SensorSolution, describe_sensors
+from calgraph.live.sensor_solution import SensorSolution, Solution, describe_sensors
 from calgraph.live.state import Advice, SceneState
 from calgraph.report.pose_picture import DrawnSensor, draw_pose, estimate_up
 from calgraph.result import Calibration, Remedy, Suggestion
@@ -62,11 +62,9 @@ def advise_missing_pair(rig: Rig, captures: CaptureSet, connected: Collection[st
 
 
 @dataclass(frozen=True, eq=False)
-class LiveSolution:
+class LiveSolution(Solution):
     """The calibration of a rig from the captures until now."""
 
-    sensors: tuple[SensorSolution, ...]
-    """In the order of rig.yaml."""
     captures: int
     """Number of captures that it was computed from."""
     advice: Advice | None = None
@@ -75,11 +73,6 @@ class LiveSolution:
     """The next best board pose, where all sensors have a pose and some are not good."""
     scene: SceneState | None = None
     """The sensors that have poses, the boards of the captures, and the next one."""
-
-    @property
-    def done(self) -> bool:
-        """Whether all sensors have good poses."""
-        return all(sensor.grade == "good" for sensor in self.sensors)
 
 
 def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = None) -> LiveSolution:

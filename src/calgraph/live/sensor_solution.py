@@ -1,4 +1,4 @@
-"""What is known of one sensor's pose while it is recorded, in rigs and networks."""
+"""What is known of the poses of sensors while they are recorded, in rigs, networks and drives."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -58,6 +58,24 @@ class SensorSolution:
         """(3,) in the frame of the root, m; of a sensor with a pose."""
         assert self.T_root_sensor is not None
         return self.T_root_sensor[:3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A calibration from what was recorded until some time."""
+
+    sensors: tuple[SensorSolution, ...]
+    """In the order of rig.yaml."""
+
+    @property
+    def posed(self) -> tuple[SensorSolution, ...]:
+        """The sensors that have poses."""
+        return tuple(one for one in self.sensors if one.T_root_sensor is not None)
+
+    @property
+    def done(self) -> bool:
+        """Whether all sensors have good poses."""
+        return bool(self.sensors) and all(one.grade == "good" for one in self.sensors)
 
 
 def describe_sensors(rig: Rig, calibration: Calibration | None) -> tuple[SensorSolution, ...]:

@@ -7,11 +7,14 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from calgraph.config import Rig
+from calgraph.errors import Rejected
 from calgraph.live.job_queue import JobQueue, Post
+from calgraph.live.sensor_solution import SensorSolution, Solution
 from calgraph.live.source import LiveMessage, Notice
-from calgraph.live.state import Action, Phase, RecorderState, SessionState
+from calgraph.live.state import Action, Phase, RecorderState, SensorState, SessionState
 
 ALL_DONE = "All sensors are within tolerance: finish"
 """What an operator reads who has done enough."""
@@ -33,7 +36,10 @@ class SessionPools:
     """Has results handled in the thread of the session: ``loop.call_soon_threadsafe``."""
 
 
-class Session(ABC):
+S = TypeVar("S", bound=Solution)
+
+
+class Session(ABC, Generic[S]):
     """Takes messages as they are recorded; what the page shows of them, and where its commands go.
 
     All calls are made in one asyncio loop, and none blocks.
@@ -57,6 +63,8 @@ class Session(ABC):
         self._source, self._print_line = source, print_line
         self._solver = JobQueue(pools.solving, 1, pools.post, self.advance)
         self._queues = [self._solver]
+        self.solution: S | None = None
+        """The last one; None before the first."""
         self._problem = ""
         """Why there are no poses from what was recorded last; empty if there are."""
         self._recorded: Callable[[], RecorderState] = RecorderState
@@ -76,9 +84,31 @@ class Session(ABC):
 
     @abstractmethod
     def describe(self) -> SessionState:
-        """The session now, without what concerns source, recorder and end."""
+        """The session now, without what all sessions have."""
 
-    def act(self, action: Action) -> None:  # noqa: B027
+    @abstractmethod
+    def describe_sensor(self, name: str) -> SensorState:
+        """A sensor, without its pose."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all sensors have good poses."""
+        return self.solution is not None and self.solution.done
+
+    def find_solved(self, name: str) -> SensorSolution | None:
+        """What the last solution has of a sensor."""
+        return next((one for one in self.solution.sensors if one.name == name), None) if self.solution else None
+
+    def take(self, solution: S | Rejected | None) -> None:
+        """Takes a solution, or why there is none; None where there was nothing to solve for."""
+        if isinstance(solution, Rejected):
+            self._problem = f"No poses from what was recorded until now: {solution.reason}"
+        elif solution is not None:
+            if solution.done and not self.done:
+                self._print_line(ALL_DONE)
+            self.solution, self._problem = solution, ""
+
+    def act(self, action: Action) -> None:
         """Does what the operator wants; ``finish`` concerns who owns the session."""
 
     def picture(self, sensor: str) -> bytes | None:  # noqa: ARG002
@@ -123,15 +153,21 @@ class Session(ABC):
 
     def state(self) -> SessionState:
         """The session now."""
-        shown = self.describe()
+        shown, rig = self.describe(), self.rig
+        sensors = (self.describe_sensor(name).with_pose(self.find_solved(name), rig.root) for name in rig.sensors)
         killed = next((queue.problem for queue in self._queues if queue.problem), "")
         headline = f"Only recording goes on: {killed}" if killed else self._problem or shown.headline
-        phase, headline, done = self._end or (shown.phase, headline, shown.done)
+        phase, headline, done = self._end or (shown.phase, headline, self.done)
         return replace(
             shown,
             phase=phase,
             headline=headline,
             done=done,
+            source=self._source,
+            root=rig.root,
+            sensors=tuple(sensors),
+            tolerance_mm=1000 * rig.tolerance.translation,
+            tolerance_degrees=rig.tolerance.rotation,
             connected=self._connected,
             notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
             recorder=replace(self._recorded(), lost=self._lost, gaps=self._gaps),

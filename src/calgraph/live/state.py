@@ -151,7 +151,7 @@ class SessionState:
     phase: Phase
     headline: str
     """One sentence: what the operator should do or wait for."""
-    source: str
+    source: str = ""
     connected: bool = False
     automatic: bool = True
     """Whether captures are taken without the button."""
