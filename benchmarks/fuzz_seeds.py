@@ -26,9 +26,10 @@ from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
-from calgraph.simulation import build_world, save_truth
+from calgraph.simulation import save_truth
 from ideal_detections import simulate_detections
-from reliability_messages import SCENARIO, STORE, Item, serialize_ros1, write_bag1, write_bag2
+from model_error_rigs import rig_world
+from ros_bags import STORE, Item, serialize_ros1, write_bag1, write_bag2
 
 Seeds = Callable[[], list[bytes]]
 
@@ -319,8 +320,7 @@ METADATA = b"""rosbag2_bagfile_information:
 @cache
 def written_files() -> Mapping[str, bytes]:
     """The files that calgraph writes for a small simulated rig, by name."""
-    world = build_world(SCENARIO, 1)
-    rig, captured, truth = simulate_detections(world, 0, None, None)
+    rig, captured, truth = simulate_detections(rig_world("five", 1, (("samples", 1),)), 0)
     problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(0))
     calibration = solve_problem(problem)
     with TemporaryDirectory() as name:
