@@ -23,7 +23,7 @@ from backports import zstd
 from rosbags.interfaces import MessageDefinitionFormat
 from ruamel.yaml import YAML
 
-import fuzz_seeds as seeds
+import reader_seeds as seeds
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
