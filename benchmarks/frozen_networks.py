@@ -25,9 +25,9 @@ from calgraph.simulation import (
     simulate_scans,
 )
 from frozen_rigs import Make
+from lrf_network import AVERAGING, JOINT, PUBLISHED, Cell
+from lrf_network import run as run_setups
 from network_model_error_kinds import KINDS, ROOMS, build_scenario, list_cases
-from network_runs import AVERAGING, JOINT, PUBLISHED, Cell
-from network_runs import run as run_setups
 
 DURATIONS = {"office": 30.0, "lab": 30.0, "halls": 60.0}
 """s: shorter ones connect too few scanners."""

@@ -24,7 +24,6 @@ from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.intrinsics.pipeline import calibrate_intrinsics
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import solve_problem
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,
@@ -38,6 +37,7 @@ from calgraph.simulation import (
 from frozen_rigs import Make
 from random_rig_draws import draw_rig
 from random_rig_messages import record
+from real_fits import fit_captures
 from real_recordings import DATA, VLP16
 
 QUICK = RigScenario(
@@ -177,8 +177,8 @@ def _real_folder(rig: Mapping[str, object], folder: str, options: RigOptions | N
 
 def _subset(count: int) -> object:
     chosen = np.sort(np.random.default_rng(count).permutation(np.array(subsets.CAPTURES))[:count])
-    fit = subsets.fit_captures([int(one) for one in chosen])
-    return None if fit is None else solve_problem(fit.problem)
+    fit = subsets.fit_chosen([int(one) for one in chosen])
+    return None if fit is None else fit.calibration
 
 
 def _webcams() -> Calibration:
@@ -188,7 +188,7 @@ def _webcams() -> Calibration:
 
 def _webcam_frames(*, stamps: bool) -> Calibration:
     rig = webcams.read_rig()
-    return webcams.fit_frames(webcams.read_frames(rig, stamps=stamps)).calibration
+    return fit_captures(rig, webcams.read_frames(rig, stamps=stamps).captures()).calibration
 
 
 def _real_intrinsics(rig: Rig, folder: Path) -> object:

@@ -4,6 +4,8 @@ python benchmarks/fuzz_readers.py --seconds 3600 --work build/fuzz            # 
 python benchmarks/fuzz_readers.py --seconds 300 --work build/fuzz --harness MCAP "ROS 1 bag"
 python benchmarks/fuzz_readers.py --replay build/fuzz/findings/*.bin          # after a fix
 
+Harnesses are those that tests give a few damaged inputs: tests/reader_harnesses.py.
+
 A finding is an exception other than calgraph's own, a warning of Python, more than 10 s of time, or more than
 1 GB of memory. Inputs and tracebacks are in the folder ``findings``, one for each place in the code. Prints the
 last line of each run: inputs, coverage in edges, and the corpus.
@@ -31,6 +33,7 @@ MAX_SECONDS = 10.0
 """CPU time of one input."""
 MAX_BYTES = 1 << 30
 """Memory of one input."""
+_TESTS = Path(__file__).resolve().parents[1] / "tests"
 _MIN_LENGTH = 4096
 """Bytes of the largest inputs, or twice those of the largest seed: larger ones are slow, and find the same."""
 _STATUS = re.compile(r"#\d+\s+\S+\s+cov: .*")
@@ -59,9 +62,10 @@ def main() -> None:
 
 def _harnesses() -> ModuleType:
     os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
-    import fuzz_harnesses
+    sys.path += [str(_TESTS)] if str(_TESTS) not in sys.path else []
+    import reader_harnesses
 
-    return fuzz_harnesses
+    return reader_harnesses
 
 
 def _slug(name: str) -> str:

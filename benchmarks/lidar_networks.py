@@ -4,7 +4,7 @@ python benchmarks/lidar_networks.py --seeds 0 12 --jobs 2 --csv halls.csv       
 python benchmarks/lidar_networks.py --rigs 16_rings mixed --duration 30          # other sensors, shorter
 python benchmarks/lidar_networks.py --kinds wrong --seeds 0 13 --verbose         # a line for each sensor
 
-Kinds are those of lidar_network_kinds.py, simulated in memory with bodies and rooms that the estimator does not
+Kinds are simulated in memory with bodies and rooms that the estimator does not
 know. A row is one sensor besides the root; judged_sensors.py states what its columns are, and what is *confidently
 wrong*. Poses are compared with those at the end, where a sensor was bumped, and with those in the middle, where
 one swings. The scale is that of the positions of all sensors about their mean, over the true ones; the table has
@@ -15,6 +15,8 @@ networks show; their heights and tilts are named as not observable.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +24,46 @@ from calgraph.config import Tolerance
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
-from calgraph.simulation import simulate_hall
+from calgraph.simulation import HallFaults, HallScenario, simulate_hall
+from drive_kinds import Draw, draw_size, make_faults
 from judged_sensors import Outcome, Truth, judge, list_worlds, make_judging_parser, measure, show_outcomes
-from lidar_network_kinds import KINDS, RIGS, WRONG, build_hall_scenario
 from worlds import NAN, finite, mean, median, run_worlds, worst
 
+_SCANNER_HEIGHTS = (0.3, 0.9, 1.4, 0.9)
+"""Of 2-D scanners beside LiDARs, m."""
+RIGS: Mapping[str, Mapping[str, Any]] = {
+    "16_rings": {"lidars": ("vlp16",) * 4},
+    "32_rings": {"lidars": ("xt32",) * 4},
+    "two": {"lidars": ("xt32",) * 2},
+    "solid_state": {"lidars": ("xt32", "xt32", "solid_state", "solid_state")},
+    "mixed": {"lidars": ("xt32",) * 2, "scanners": _SCANNER_HEIGHTS},
+}
+"""Sensors by name."""
+_fault = partial(make_faults, HallFaults)
+KINDS: Mapping[str, Draw] = {
+    "ordinary": lambda _: {},
+    "couples": lambda _: {"people": 4, "couples": 2},
+    "high": lambda _: {"high": True},
+    "moved": lambda rng: {"moved": int(rng.integers(3, 9))},
+    "glass": lambda _: {"glass": 4},
+    "mirrors": lambda _: {"mirrors": 2},
+    "crowd": lambda rng: {"people": int(rng.integers(10, 15)), "couples": 3},
+    "carts": lambda _: {"people": 0, "carts": 3},
+    "one_person": lambda _: {"people": 1},
+    "nobody": lambda _: {"people": 0},
+    "sloping_floor": lambda _: {"floor_slope": 0.03},
+    "stairs": lambda _: {"stairs": True},
+    "rain": _fault(lambda rng: {"false_returns": draw_size(0.003, 0.1, rng)}),
+    "bump": _fault(lambda rng: {"bump": (draw_size(0.005, 0.05, rng), draw_size(0.05, 2.0, rng))}),
+    "swing": _fault(lambda rng: {"swing": draw_size(0.05, 1.0, rng)}),
+    "rings": _fault(lambda _: {"ring_bias": 0.03}),
+    "clock_drift": _fault(lambda rng: {"clock_drift": draw_size(2e-4, 3e-3, rng)}),
+    "clock_jump": _fault(lambda rng: {"clock_jump": draw_size(0.01, 0.2, rng)}),
+    "stretched": _fault(lambda rng: {"range_scale": float(rng.choice([-0.01, 0.01]))}),
+}
+"""Changes to the scenario by kind, drawn by seed."""
+WRONG = tuple(kind for kind in KINDS if kind not in ("ordinary", "couples", "high"))
+"""The kinds in which something is wrong or missing."""
 COLUMNS = "scale:6.2f std:5.2f plan:6.1f max:6.1f yaw:6.3f max:6.3f"
 
 
@@ -48,6 +85,20 @@ def main() -> None:
     work = list_worlds(arguments, WRONG, tuple(arguments.tolerance))
     outcomes = run_worlds(NetworkOutcome, run, work, arguments, key=4)
     show_outcomes(outcomes, arguments.verbose, COLUMNS, summarize_networks)
+
+
+def build_hall_scenario(kind: str, seed: int, rig: str = "32_rings", duration: float = 60.0) -> HallScenario:
+    """The scenario of one run: two to four people, but for kinds that state their number.
+
+    Args:
+        kind: of :data:`KINDS`.
+        seed: of the hall, and of what the kind draws.
+        rig: of :data:`RIGS`.
+        duration: s.
+    """
+    rng = np.random.default_rng((seed, 1000))
+    scenario = HallScenario(seed=seed, duration=duration, people=2 + seed % 3, **RIGS[rig])
+    return replace(scenario, **KINDS[kind](rng))
 
 
 def run(kind: str, rig: str, seed: int, duration: float, tolerance: tuple[float, ...]) -> list[NetworkOutcome]:

@@ -29,18 +29,15 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, apply_estimates
-from calgraph.rig.bundle.bundle_solver import linearize_bundle, retract_state
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.bundle.problem import Problem
-from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
+from calgraph.rig.pipeline import calibrate_detections
 from calgraph.sensors import PointCloud
+from real_fits import Fit, apply_systematic, cross_covariance, fit_captures, locate_boards
 from real_recordings import DATA, VLP16
-from systematic_errors import apply_systematic, cross_covariance
 from worlds import NAN, grouped, make_parser, median, rms, run_worlds
 
 CAPTURES = range(1, 41)
@@ -51,20 +48,6 @@ MAX_DISTANCE = 0.1
 """Mean distance of points from the plane of the board beyond which they are of something else, m."""
 BOARD_STEPS = 3
 """Gauss-Newton steps that locate a board from one camera; they start from the pose by both sensors."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Calibration from some captures."""
-
-    problem: Problem
-    joint: RigSolution
-    solved: SolvedBundle
-
-    @property
-    def grade(self) -> str:
-        """The camera's verdict."""
-        return solve_problem(self.problem)["camera"].verdict.grade
 
 
 @dataclass(frozen=True)
@@ -128,19 +111,17 @@ def select_captures(chosen: Sequence[int]) -> dict[str, dict[int, DetectionResul
     return {name: {capture: found[capture] for capture in chosen} for name, found in load()[1].items()}
 
 
-def fit_captures(chosen: Sequence[int]) -> Fit | None:
+def fit_chosen(chosen: Sequence[int]) -> Fit | None:
     """Calibrates from some captures; None if the camera is lost."""
     rig, _ = load()
-    captures = captures_from_detections(rig, select_captures(chosen))
-    problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
-    joint, _ = solve_jointly(problem)
-    return None if joint.solved_bundle is None else Fit(problem, joint, joint.solved_bundle)
+    fit = fit_captures(rig, captures_from_detections(rig, select_captures(chosen)))
+    return None if fit.joint.solved_bundle is None else fit
 
 
 def compare_draw(k: int, draw: int) -> Draw:
     """One random draw of captures against all others; the same for the same arguments."""
     chosen = sorted(np.random.default_rng([k, draw]).choice(CAPTURES, k, replace=False).tolist())
-    fit, other = fit_captures(chosen), fit_captures(sorted(set(CAPTURES) - set(chosen)))
+    fit, other = fit_chosen(chosen), fit_chosen(sorted(set(CAPTURES) - set(chosen)))
     if fit is None or other is None:
         return Draw(k, draw, found=False)
     error = se3.difference(fit.joint.T_root_sensor["camera"], other.joint.T_root_sensor["camera"])
@@ -150,7 +131,7 @@ def compare_draw(k: int, draw: int) -> Draw:
         k,
         draw,
         True,
-        fit.grade,
+        fit.calibration["camera"].verdict.grade,
         float(error @ np.linalg.solve(P_a + P_b - cross - cross.T, error)),
         float(np.linalg.norm(error[:3])),
         float(np.sqrt(np.diag(P_a)[:3].max())),
@@ -160,8 +141,11 @@ def compare_draw(k: int, draw: int) -> Draw:
 
 def predict_planes(fit: Fit, held_out: Fit) -> float:
     """RMS over held-out views of the mean distance of the LiDAR's points from the plane by the camera, m."""
-    bundle = held_out.solved.bundle
-    state = apply_systematic(fit.solved, bundle, held_out.solved.minimized.state)
+    solved, other = fit.joint.solved_bundle, held_out.joint.solved_bundle
+    assert solved is not None
+    assert other is not None
+    bundle = other.bundle
+    state = apply_systematic(solved, bundle, other.minimized.state)
     state = replace(state, T_root_sensor=np.array([fit.joint.T_root_sensor[name] for name in bundle.sensors]))
     bundle = bundle.without_outlines()
     camera, lidar = bundle.sensors.index("camera"), bundle.sensors.index("lidar")
@@ -170,13 +154,7 @@ def predict_planes(fit: Fit, held_out: Fit) -> float:
     by_camera = bundle.with_views(
         [v if s == camera else v.update_noise(T_lidar_board, NO_WEIGHT) for s, v in enumerate(bundle.views)]
     )
-    fixed = np.zeros(bundle.parameter_count)
-    for _ in range(BOARD_STEPS):
-        at = linearize_bundle(by_camera, state)
-        located = np.isin(np.arange(len(at.H_board)), bundle.views[camera].board)
-        step = np.zeros_like(at.g_board)
-        step[located] = np.linalg.solve(at.H_board[located], -at.g_board[located][..., None])[..., 0]
-        state = retract_state(by_camera, state, fixed, step)
+    state = locate_boards(by_camera, state, np.unique(bundle.views[camera].board), BOARD_STEPS)
     T_lidar_board = relative_poses(state.T_root_sensor[lidar], state.T_root_board[beams.board])
     residual = beams.linearize(T_lidar_board, state.extra[bundle.extra_indices(lidar)]).residual[:, 0]
     count = np.diff(beams.start, append=len(residual))

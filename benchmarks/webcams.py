@@ -30,35 +30,22 @@ from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
-from calgraph.result import Calibration
 from calgraph.rig.bundle.board_observations import BoardObservation
 from calgraph.rig.bundle.bundle_setup import build_bundle
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections
-from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.sensors import CameraModel
+from real_fits import Fit, apply_systematic, cross_covariance, fit_captures, locate_boards
 from real_recordings import DATA
-from systematic_errors import apply_systematic, cross_covariance
 from worlds import make_parser
 
 ROOT = "camera_1"
 SQUARE = 0.054
 BOARD_STEPS = 4
 """Gauss-Newton steps that locate a board from cameras with fixed poses; they start from one camera's PnP."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Calibration from some frames."""
-
-    captures: CaptureSet
-    joint: RigSolution
-    calibration: Calibration
 
 
 def data_folder() -> Path:
@@ -83,12 +70,7 @@ def read_rig() -> Rig:
                 "model": "pinhole",
                 "width": camera["size"][0],
                 "height": camera["size"][1],
-                "K": [
-                    camera["matrix"][0][0],
-                    camera["matrix"][1][1],
-                    camera["matrix"][0][2],
-                    camera["matrix"][1][2],
-                ],
+                "K": [camera["matrix"][row][column] for row, column in ((0, 0), (1, 1), (0, 2), (1, 2))],
                 "distortion": camera["distortions"],
             },
         }
@@ -148,22 +130,11 @@ def published_poses(rig: Rig) -> dict[str, Array]:
     return {name: T_camera_world[rig.root] @ se3.inverse(T_camera_world[name]) for name in rig.sensors}
 
 
-def fit_frames(frames: Frames) -> Fit:
-    """Calibrates from frames through the library."""
-    captures = frames.captures()
-    problem = build_problem_from_captures(frames.rig, captures, RigOptions(), np.random.default_rng(0))
-    return Fit(captures, solve_jointly(problem)[0], solve_problem(problem))
-
-
-def stated_covariance(fit: Fit, name: str) -> Array:
-    """(6, 6) of a camera that has a pose."""
-    return next(sensor.covariance for sensor in fit.calibration.sensors if sensor.name == name)
-
-
 def fit_by_least_squares(rig: Rig, captures: CaptureSet, start: Mapping[str, Array]) -> dict[str, Array]:
     """``T_root_camera`` by plain least squares over all corners, cameras and boards."""
     names = [name for name in start if name != rig.root]
-    boards = locate_boards(*bundle_of_all(rig, captures, start))
+    bundle, state, frames = bundle_of_all(rig, captures, start)
+    boards = dict(zip(frames, locate_all(bundle, state).T_root_board, strict=True))
     column = {name: 6 * i for i, name in enumerate(names)}
     views = [
         (name, i, found)
@@ -216,20 +187,9 @@ def bundle_of_all(
     return *build_bundle(rig, captures, observed, T_root_sensor), [one.capture for one in observed]
 
 
-def locate_boards(bundle: Bundle, state: BundleState, frames: Sequence[int]) -> dict[int, Array]:
-    """``T_root_board`` by frame, for fixed cameras."""
-    state = solve_boards(bundle, state)
-    return dict(zip(frames, state.T_root_board, strict=True))
-
-
-def solve_boards(bundle: Bundle, state: BundleState) -> BundleState:
+def locate_all(bundle: Bundle, state: BundleState) -> BundleState:
     """The state with the boards located by all cameras, whose poses are fixed."""
-    fixed = np.zeros(bundle.parameter_count)
-    for _ in range(BOARD_STEPS):
-        at = linearize_bundle(bundle, state)
-        step = np.linalg.solve(at.H_board, -at.g_board[..., None])[..., 0]
-        state = retract_state(bundle, state, fixed, np.asarray(step, dtype=np.float64))
-    return state
+    return locate_boards(bundle, state, np.arange(len(state.T_root_board)), BOARD_STEPS)
 
 
 def held_out_error(rig: Rig, captures: CaptureSet, T_root_sensor: Mapping[str, Array], fit: Fit | None) -> float:
@@ -247,7 +207,7 @@ def held_out_error(rig: Rig, captures: CaptureSet, T_root_sensor: Mapping[str, A
         state = replace(state, extra=np.array(flat))
     elif (solved := fit.joint.solved_bundle) is not None:
         state = apply_systematic(solved, bundle, state)
-    state = solve_boards(bundle, state)
+    state = locate_all(bundle, state)
     errors = []
     for s, name in enumerate(bundle.sensors):
         views: Any = bundle.views[s]
@@ -268,7 +228,7 @@ def show_deviations(
             print(f"{title:22} {name:9} lost")
             continue
         d = se3.difference(poses[name], T)
-        P = covariance(name) if covariance else stated_covariance(fit, name)
+        P = covariance(name) if covariance else fit.calibration[name].covariance
         worst, mahalanobis = np.max(np.abs(d) / np.sqrt(np.diag(P))), np.sqrt(d @ np.linalg.solve(P, d) / 6)
         print(
             f"{title:22} {name:9} {1000 * np.linalg.norm(d[:3]):7.1f} mm {np.degrees(np.linalg.norm(d[3:])):6.2f}°"
@@ -285,8 +245,8 @@ def main() -> None:
     rig = read_rig()
     all_frames = read_frames(rig, stamps=not arguments.unstamped)
     frames = list(all_frames)
-    every = fit_frames(all_frames)
-    views = sum(len(found) for found in every.captures.detections.values())
+    every = fit_captures(rig, all_frames.captures())
+    views = sum(len(found) for found in every.problem.captures.detections.values())
     print(f"{len(frames)} frames, {views} views, {len(every.joint.rejected)} rejected by the joint solution")
     for sensor in every.calibration.sensors:
         stddev = np.sqrt(np.diag(sensor.covariance))
@@ -298,7 +258,7 @@ def main() -> None:
         print(f"{name}: no pose: {reason}")
     print("".join(f"remark: {remark}\n" for remark in every.calibration.evidence.remarks), end="")
     print(f"{'':32} {'':10} {'':7} sigmas: worst axis, Mahalanobis")
-    plain = fit_by_least_squares(rig, every.captures, every.joint.T_root_sensor)
+    plain = fit_by_least_squares(rig, every.problem.captures, every.joint.T_root_sensor)
     show_deviations("plain least squares", plain, every)
     show_deviations("published", published_poses(rig), every)
     halves = {
@@ -307,23 +267,23 @@ def main() -> None:
     }
     held_out = []
     for title, (one, two) in halves.items():
-        a, b = fit_frames(all_frames.select(one)), fit_frames(all_frames.select(two))
+        a, b = (fit_captures(rig, all_frames.select(half).captures()) for half in (one, two))
 
         def covariance(name: str, a: Fit = a, b: Fit = b) -> Array:
             cross = cross_covariance(a.joint, b.joint, name)
-            return np.asarray(stated_covariance(a, name) + stated_covariance(b, name) - cross - cross.T)
+            return np.asarray(a.calibration[name].covariance + b.calibration[name].covariance - cross - cross.T)
 
         show_deviations(title, a.joint.T_root_sensor, b, covariance)
         for half in (a, b):
             for name, reason in half.calibration.evidence.unconnected.items():
                 print(f"{title:22} {name}: no pose: {reason}")
         for fitted, other in ((a, b), (b, a)):
-            ls = fit_by_least_squares(rig, fitted.captures, fitted.joint.T_root_sensor)
+            ls = fit_by_least_squares(rig, fitted.problem.captures, fitted.joint.T_root_sensor)
             held_out.append(
                 (
                     title,
-                    held_out_error(rig, other.captures, fitted.joint.T_root_sensor, fitted),
-                    held_out_error(rig, other.captures, ls, None),
+                    held_out_error(rig, other.problem.captures, fitted.joint.T_root_sensor, fitted),
+                    held_out_error(rig, other.problem.captures, ls, None),
                 )
             )
     print("Held-out reprojection error, px: calgraph, plain least squares")

@@ -9,8 +9,8 @@ from calgraph.network.pipeline import calibrate_tracks
 from calgraph.result import Calibration, Remedy
 from calgraph.simulation import build_network, network_rig, simulate_scans
 from calgraph.simulation.network_scanners import StationaryScanner
+from lrf_network import track_scanners
 from network_model_error_kinds import ROOMS, build_scenario
-from network_runs import track_scanners
 
 NETWORKS = {
     f"{room} {share:g}": (seconds, Tolerance(translation=tolerance, rotation=0.1))

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.recording import open_recording
 from calgraph.sensors import Message, RecordedMessage
+from ros_bags import Item, write_bag2
 
 MakeBag = Callable[..., Path]
 
@@ -68,7 +69,7 @@ def ros(store: Typestore) -> SimpleNamespace:
 
 
 @pytest.fixture
-def make_bag(tmp_path: Path, store: Typestore) -> MakeBag:
+def make_bag(tmp_path: Path) -> MakeBag:
     """Writes ``(topic, message, arrival in s)`` as a rosbag2."""
 
     def make(
@@ -77,16 +78,8 @@ def make_bag(tmp_path: Path, store: Typestore) -> MakeBag:
         storage: StoragePlugin = StoragePlugin.MCAP,
         compression: CompressionMode = CompressionMode.NONE,
     ) -> Path:
-        writer = Writer(tmp_path / name, version=8, storage_plugin=storage)
-        writer.set_compression(compression, CompressionFormat.ZSTD)
-        with writer:
-            connections: dict[str, Any] = {}
-            for topic, message, arrival in messages:
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=store)
-                data = store.serialize_cdr(message, message.__msgtype__)
-                writer.write(connections[topic], round(arrival * 1e9), data)
-        return tmp_path / name
+        items = [Item(topic, one.__msgtype__, round(arrival * 1e9), one) for topic, one, arrival in messages]
+        return write_bag2(tmp_path / name, items, storage, compression)
 
     return make
 

@@ -22,7 +22,7 @@ from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
 from calgraph.recording.limited_storage import unpack_chunk
-from fuzz_mutators import pack_records, read_records
+from mcap_records import pack_records, read_records
 
 MakeBag = Callable[..., Path]
 TIGHT = LimitSettings(max_unpacked_bytes=100_000)

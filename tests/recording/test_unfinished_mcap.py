@@ -15,7 +15,7 @@ from calgraph.errors import RecordingError
 from calgraph.recording import inspect_recording, open_recording
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.unfinished_mcap import complete_mcap, finish_mcap
-from fuzz_mutators import pack_records, read_records
+from mcap_records import pack_records, read_records
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK, MESSAGE_INDEX, CHUNK_INDEX, DATA_END = 6, 7, 8, 15

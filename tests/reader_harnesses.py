@@ -1,21 +1,29 @@
 """What is fuzzed: each harness gives bytes to one of calgraph's readers as a file, and uses what it returns.
 
-The property: it returns, or raises one of calgraph's own errors.
+The property: it returns, or raises one of calgraph's own errors. Where checksums or compression would stop most
+mutations, the bytes are those within, and the harness packs them into a file. YAML is also mutated as a tree.
 """
 
+import gzip
+import json
+import struct
+import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cache
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from backports import zstd
 from rosbags.interfaces import MessageDefinitionFormat
+from ruamel.yaml import YAML
 
-import fuzz_mutators as mutators
-import fuzz_seeds as seeds
+import reader_seeds as seeds
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
@@ -39,18 +47,63 @@ from calgraph.sensors import Trigger
 from calgraph.simulation import NetworkScenario, RigScenario, load_truth
 
 _MAX_RECORDS = 200
+_MAX_MEMBER = 20_000
+"""Bytes of a member of an archive that is a seed: larger ones are slow, and find the same."""
+_VALUES: tuple[Any, ...] = (
+    0, 1, -1, 2, 0.5, -0.0, 1e-300, 1e300, float("nan"), float("inf"), 2**31, 2**63, -(2**63), 10**30, 255, 65536,
+    None, True, False, "", "a", "camera", "lidar", "\x00", "\u2028", "a" * 300, "=1+1", "board", "people", [], {},
+    [0], [1, 2, 3], {"a": 1}, {"kind": "board"}, [[]], "2001-01-01", "nan", "1 mm", "0.3 deg",
+)  # fmt: skip
+"""That take the place of others in trees."""
+
+Run = Callable[[bytes, Path], None]
+MutateBytes = Callable[[bytes], bytes]
+Mutate = Callable[[bytes, Random, MutateBytes], bytes]
+"""Changes an input, by a generator of random numbers and the fuzzer's own mutation of bytes."""
 
 
 @dataclass(frozen=True)
 class Harness:
     """One reader."""
 
-    run: Callable[[bytes, Path], None]
+    run: Run
     """Gives the bytes to the reader; the folder is empty, and its content is removed afterwards."""
     seeds: seeds.Seeds
-    mutate: mutators.Mutator | None = None
-    words: tuple[str, ...] = field(default=())
+    words: tuple[str, ...] = ()
     """Of the reader's language, for mutations of bytes."""
+    mutate: Mutate | None = None
+
+
+def mutate_yaml(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
+    """Values and keys of a YAML file, or its text."""
+    if rng.random() < 0.4:
+        return inner(data)
+    try:
+        content = YAML(typ="safe").load(data)
+    except Exception:  # no YAML any more
+        return inner(data)
+    text = json.dumps(mutate_tree(content, rng), default=str)
+    return text.replace("Infinity", ".inf").replace("NaN", ".nan").encode()
+
+
+def mutate_tree(content: Any, rng: Random) -> Any:
+    """Nested lists and mappings with one place changed."""
+    if content and isinstance(content, dict | list) and rng.random() < 0.9:
+        items: list[tuple[Any, Any]] = list(enumerate(content) if isinstance(content, list) else content.items())
+        i, roll = rng.randrange(len(items)), rng.random()
+        key, value = items[i]
+        if roll < 0.08:
+            items.pop(i)
+        elif roll < 0.12:
+            items.append((rng.choice(("kind", "a", str(key)[:-1])), value))
+        elif roll < 0.16:
+            items[i] = key, rng.choice(items)[1]
+        else:
+            items[i] = key, mutate_tree(value, rng)
+        return [one for _, one in items] if isinstance(content, list) else dict(items)
+    if isinstance(content, int | float) and rng.random() < 0.5:
+        return rng.choice((content * 1000, -content, content + 1, content / 1000, content * (1 + 1e-9)))
+    return rng.choice(_VALUES)
 
 
 def _write(folder: Path, name: str, data: bytes) -> Path:
@@ -74,7 +127,7 @@ def _settings(data: bytes, folder: Path) -> None:
     override_settings(rig, data.decode(errors="replace").splitlines()[:20])
 
 
-def _reads(name: str, read: Callable[[Path], object]) -> Callable[[bytes, Path], None]:
+def _reads(name: str, read: Callable[[Path], object]) -> Run:
     """Gives the bytes to what reads a file of this name."""
 
     def run(data: bytes, folder: Path) -> None:
@@ -107,9 +160,8 @@ def _extrinsics(data: bytes, folder: Path) -> None:
 @cache
 def _calibration_of_seeds() -> Calibration:
     with TemporaryDirectory() as folder:
-        return load_calibration(
-            _write(Path(folder), "calibration.yaml", seeds.written_files()["calibration.yaml"])
-        )
+        content = seeds.written_files()["calibration.yaml"]
+        return load_calibration(_write(Path(folder), "calibration.yaml", content))
 
 
 def _urdf(data: bytes, _folder: Path) -> None:
@@ -122,10 +174,31 @@ def _scenario(data: bytes, folder: Path) -> None:
     validate_content(NetworkScenario if "scanner" in content else RigScenario, content, path)
 
 
-def _scene(data: bytes, folder: Path) -> None:
-    scene = load_scene(_write(folder, "scene.npz", data))
-    for snapshot in scene.snapshots[:3]:
+def _scene(path: Path) -> None:
+    for snapshot in load_scene(path).snapshots[:3]:
         _ = snapshot.picture
+
+
+def _archive(name: str, read: Callable[[Path], object]) -> Harness:
+    """Of a ZIP that calgraph writes: the first byte states which member the others take the place of."""
+
+    def members() -> dict[str, bytes]:
+        with zipfile.ZipFile(BytesIO(seeds.written_files()[name])) as archive:
+            return {one: archive.read(one) for one in archive.namelist()}
+
+    def run(data: bytes, folder: Path) -> None:
+        contents = members()
+        if data:
+            contents[list(contents)[data[0] % len(contents)]] = data[1:]
+        with zipfile.ZipFile(folder / name, "w") as archive:
+            for member, content in contents.items():
+                archive.writestr(member, content)
+        read(folder / name)
+
+    def make_seeds() -> list[bytes]:
+        return [bytes([i]) + one for i, one in enumerate(members().values()) if len(one) < _MAX_MEMBER]
+
+    return Harness(run, make_seeds)
 
 
 def _ignore(_: float) -> None:
@@ -141,7 +214,7 @@ def _inspect(recording: Recording) -> None:
     draft_rig(find_topics(recording), "recording")
 
 
-def _file(name: str) -> Callable[[bytes, Path], None]:
+def _file(name: str) -> Run:
     """A recording of this one file."""
 
     def run(data: bytes, folder: Path) -> None:
@@ -150,6 +223,14 @@ def _file(name: str) -> Callable[[bytes, Path], None]:
             _inspect(recording)
 
     return run
+
+
+def _chunk(data: bytes, folder: Path) -> None:
+    """Records of a chunk of an MCAP without a summary (mcap.dev/spec)."""
+    chunk = struct.pack("<QQQIIQ", 0, 2**62, len(data), 0, 0, len(data)) + data
+    records = ((6, chunk), (15, bytes(4)), (2, bytes(20)))
+    content = b"".join(struct.pack("<BQ", op, len(one)) + one for op, one in records)
+    _file("a.mcap")(seeds.MCAP_MAGIC + struct.pack("<BQ", 1, 8) + bytes(8) + content + seeds.MCAP_MAGIC, folder)
 
 
 def _camera_info(data: bytes, folder: Path) -> None:
@@ -206,10 +287,9 @@ class _OneEntry(RecordingCache):
         return seeds.CACHE_KEY
 
 
-def _cache(data: bytes, folder: Path) -> None:
-    _write(folder, f"{seeds.CACHE_KEY}.npz", data)
+def _cache(path: Path) -> None:
     recording = MessageRecording({"a": [Trigger(1.0)]})
-    _OneEntry(folder).read(recording, "detections", {}, KEPT_TYPES)
+    _OneEntry(path.parent).read(recording, "detections", {}, KEPT_TYPES)
 
 
 def _names(data: bytes, folder: Path) -> None:
@@ -223,82 +303,54 @@ def _names(data: bytes, folder: Path) -> None:
 
 
 _YAML_WORDS = (
-    "*a",
-    "&a ",
-    "<<: ",
-    "!!int ",
-    "!!float ",
-    "!!binary ",
-    ".nan",
-    ".inf",
-    "1e300",
-    "? ",
-    "---\n",
-    "|\n",
-    "null",
-)
+    "*a", "&a ", "<<: ", "!!int ", "!!float ", "!!binary ", ".nan", ".inf", "1e300", "? ", "---\n", "|\n", "null",
+)  # fmt: skip
+
+
+def _yaml(run: Run, make_seeds: seeds.Seeds, *words: str) -> Harness:
+    return Harness(run, make_seeds, (*_YAML_WORDS, *words), mutate_yaml)
+
 
 HARNESSES: Mapping[str, Harness] = {
-    "rig.yaml": Harness(
-        _rig,
-        lambda: [
-            seeds.RIG, seeds.NETWORK, *seeds.written("rig.resolved.yaml")(),
-            *(seeds.RIG.replace(b"family: tag36h11", b"pattern: " + p).partition(b"  tags:")[0] + b"sensors"
-              + seeds.RIG.partition(b"sensors")[2] for p in seeds.PATTERNS),
-        ],
-        mutators.mutate_yaml,
-        (*_YAML_WORDS, "kind: ", "board", "people", "cylinder", "pattern", "intrinsics", "uncertainty"),
+    "rig.yaml": _yaml(_rig, seeds.rigs, "kind: ", "board", "people", "cylinder", "pattern", "intrinsics"),
+    "settings": Harness(_settings, lambda: list(seeds.SETTINGS), (*_YAML_WORDS, "=", "captures.")),
+    "target": _yaml(_reads("target.yaml", read_boards), lambda: [seeds.RIG, seeds.NETWORK]),
+    "calibration.yaml": _yaml(_calibration, seeds.written("calibration.yaml", "short calibration.yaml")),
+    "budget.csv": Harness(_budget, seeds.written("budget.csv"), ("nan", "inf", "1e999", '"', "\0", ",,")),
+    "extrinsics": _yaml(
+        _extrinsics, lambda: [seeds.TRANSFORMS, seeds.URDF, *seeds.written("tf", "urdf")()],
+        "<joint", 'xyz="', 'rpy="', "<!ENTITY", "<!DOCTYPE",
     ),
-    "settings": Harness(_settings, lambda: list(seeds.SETTINGS), None, (*_YAML_WORDS, "=", "captures.")),
-    "target": Harness(
-        _reads("target.yaml", read_boards), lambda: [seeds.RIG, seeds.NETWORK], mutators.mutate_yaml, _YAML_WORDS
-    ),
-    "calibration.yaml": Harness(
-        _calibration,
-        seeds.written("calibration.yaml", "short calibration.yaml"),
-        mutators.mutate_yaml,
-        _YAML_WORDS,
-    ),
-    "budget.csv": Harness(_budget, seeds.written("budget.csv"), None, ("nan", "inf", "1e999", '"', "\0", ",,")),
-    "extrinsics": Harness(
-        _extrinsics,
-        lambda: [seeds.TRANSFORMS, seeds.URDF, *seeds.written("tf", "urdf")()],
-        mutators.mutate_yaml,
-        (*_YAML_WORDS, "<joint", "xyz=\"", "rpy=\"", "<!ENTITY", "<!DOCTYPE"),
-    ),
-    "URDF update": Harness(_urdf, lambda: [seeds.URDF, *seeds.written("urdf")()], None, ("<joint", "xyz=\"")),
-    "truth.yaml": Harness(
-        _reads("truth.yaml", load_truth), seeds.written("truth.yaml"), mutators.mutate_yaml, _YAML_WORDS
-    ),
-    "scenario": Harness(_scenario, lambda: list(seeds.SCENARIOS), mutators.mutate_yaml, _YAML_WORDS),
-    "problem.npz": Harness(_reads("problem.npz", load_problem), seeds.written("problem.npz"), mutators.mutate_zip),
-    "scene.npz": Harness(_scene, seeds.written("scene.npz"), mutators.mutate_zip),
-    "cache": Harness(_cache, seeds.written("cache"), mutators.mutate_zip),
-    "PCD": Harness(_file("s/1.0.pcd"), seeds.pcds, None, ("DATA ascii", "POINTS ", "COUNT ", "SIZE ")),
-    "PCD, gzipped": Harness(_file("s/1.0.pcd.gz"), seeds.gzipped(seeds.pcds)),
-    "PLY": Harness(_file("s/1.0.ply"), seeds.plys, None, ("property ", "element ", "double ", "list ")),
-    "NPZ": Harness(_file("s/1.0.npz"), seeds.npzs, mutators.mutate_zip),
-    "CSV scan": Harness(_file("s/1.0.csv"), lambda: [seeds.SCAN], None, ("nan", "inf", "1e300", "1_0")),
-    "points as text": Harness(_file("s/1.0.xyz"), lambda: [seeds.POINTS], None, ("nan", "1e300", "x y z", "#")),
+    "URDF update": Harness(_urdf, lambda: [seeds.URDF, *seeds.written("urdf")()], ("<joint", 'xyz="')),
+    "truth.yaml": _yaml(_reads("truth.yaml", load_truth), seeds.written("truth.yaml")),
+    "scenario": _yaml(_scenario, lambda: list(seeds.SCENARIOS)),
+    "problem.npz": _archive("problem.npz", load_problem),
+    "scene.npz": _archive("scene.npz", _scene),
+    "cache": _archive(f"{seeds.CACHE_KEY}.npz", _cache),
+    "PCD": Harness(_file("s/1.0.pcd"), seeds.pcds, ("DATA ascii", "POINTS ", "COUNT ", "SIZE ")),
+    "PCD, gzipped": Harness(_file("s/1.0.pcd.gz"), lambda: list(map(gzip.compress, seeds.pcds()))),
+    "PLY": Harness(_file("s/1.0.ply"), seeds.plys, ("property ", "element ", "double ", "list ")),
+    "NPZ": Harness(_file("s/1.0.npz"), seeds.npzs),
+    "CSV scan": Harness(_file("s/1.0.csv"), lambda: [seeds.SCAN], ("nan", "inf", "1e300", "1_0")),
+    "points as text": Harness(_file("s/1.0.xyz"), lambda: [seeds.POINTS], ("nan", "1e300", "x y z", "#")),
     "image": Harness(_file("s/1.0.png"), seeds.images),
-    "names of files": Harness(_names, lambda: list(seeds.NAMES), None, ("cam0_", "1773380642", ".png", "_12")),
-    "corners CSV": Harness(_file("xy.csv"), lambda: list(seeds.CORNERS), None, ("nan", "1e300", "frame_time")),
-    "video, MKV": Harness(_file("a.mkv"), lambda: seeds.videos()[:1]),
-    "video, MP4": Harness(_file("a.mp4"), lambda: seeds.videos()[1:2]),
-    "video, AVI": Harness(_file("a.avi"), lambda: seeds.videos()[2:]),
-    "camera_info.yaml": Harness(_camera_info, lambda: list(seeds.CAMERA_INFO), mutators.mutate_yaml, _YAML_WORDS),
-    "metadata.yaml": Harness(_metadata, lambda: [seeds.METADATA], mutators.mutate_yaml, _YAML_WORDS),
+    "names of files": Harness(_names, lambda: list(seeds.NAMES), ("cam0_", "1773380642", ".png", "_12")),
+    "corners CSV": Harness(_file("xy.csv"), lambda: list(seeds.CORNERS), ("nan", "1e300", "frame_time")),
+    "video, MKV": Harness(_file("a.mkv"), lambda: [seeds.video("mkv", "mpeg4")]),
+    "video, MP4": Harness(_file("a.mp4"), lambda: [seeds.video("mp4", "mpeg4")]),
+    "video, AVI": Harness(_file("a.avi"), lambda: [seeds.video("avi", "mjpeg")]),
+    "camera_info.yaml": _yaml(_camera_info, lambda: list(seeds.CAMERA_INFO)),
+    "metadata.yaml": _yaml(_metadata, lambda: [seeds.METADATA]),
     "ROS messages": Harness(_message, seeds.messages),
     "driver messages": Harness(_driver_message, seeds.driver_messages),
     "definitions": Harness(
-        _definition,
-        lambda: [bytes([28 + i % 4, 3]) + text for i, text in enumerate(seeds.DEFINITIONS)],
-        None,
+        _definition, lambda: [bytes([28 + i % 4, 3]) + text for i, text in enumerate(seeds.DEFINITIONS)],
         ("[]", "[3]", "[<=3]", "string", "MSG: a/", "=" * 80 + "\n", "sequence<", "typedef ", "struct ", "@key "),
     ),
-    "MCAP": Harness(_file("a.mcap"), seeds.mcaps, mutators.mutate_mcap),
-    "MCAP, zstd": Harness(_file("a.mcap.zstd"), seeds.zstd_of(seeds.mcaps)),
+    "MCAP": Harness(_file("a.mcap"), seeds.mcaps),
+    "MCAP, chunk": Harness(_chunk, seeds.chunks),
+    "MCAP, zstd": Harness(_file("a.mcap.zstd"), lambda: list(map(zstd.compress, seeds.mcaps()))),
     "SQLite": Harness(_file("a.db3"), seeds.databases),
-    "ROS 1 bag": Harness(_file("a.bag"), seeds.bags1, mutators.mutate_bag1),
+    "ROS 1 bag": Harness(_file("a.bag"), seeds.bags1),
 }  # fmt: skip
 """By the name of what they read."""

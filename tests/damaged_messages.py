@@ -7,11 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rosbags.convert.converter import migrate_message
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.rosbag2 import Reader, StoragePlugin
 from ruamel.yaml import YAML
 
 from calgraph.io.text_writing import save_yaml
@@ -26,8 +22,8 @@ from calgraph.simulation import (
     load_truth,
     simulate_rig,
 )
+from ros_bags import STORE, Item, write_bag1, write_bag2
 
-STORE, STORE1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
 CAMERA, LASER, LIDAR = "/camera/image_raw/compressed", "/laser_front/scan", "/lidar/points"
 INFO, TRIGGER = "/camera/camera_info", "/trigger"
 SCENARIO = RigScenario(
@@ -50,19 +46,6 @@ _FOLDERS = {CAMERA: "camera", LASER: "laser_front", LIDAR: "lidar"}
 
 
 @dataclass(frozen=True)
-class Item:
-    """A message of a recording."""
-
-    topic: str
-    kind: str
-    """Its ROS type."""
-    arrival: int
-    """ns."""
-    message: Any
-    """The deserialized message; None stands for a topic without messages."""
-
-
-@dataclass(frozen=True)
 class Source:
     """The recording that is damaged, with its rig and ground truth."""
 
@@ -82,11 +65,6 @@ class Source:
 def simulate_source(folder: Path, seed: int) -> Source:
     """Simulates the recording that is damaged, and reads it."""
     simulate_rig(SCENARIO, folder, seed)
-    return read_source(folder)
-
-
-def read_source(folder: Path) -> Source:
-    """A recording that was simulated before."""
     rig = {**read_yaml(folder / "rig.yaml"), "tolerance": TOLERANCE}
     sensors = {name: {**spec} for name, spec in rig["sensors"].items()}
     for name, spec in sensors.items():
@@ -110,7 +88,11 @@ def write_rig(path: Path, content: Mapping[str, Any]) -> None:
 
 def stamp_of(item: Item) -> float:
     """The header stamp of a message, s."""
-    header = getattr(item.message, "header", item.message)
+    return seconds_of(getattr(item.message, "header", item.message))
+
+
+def seconds_of(header: Any) -> float:
+    """The stamp of a header, s."""
     return float(header.stamp.sec + header.stamp.nanosec / 1e9)
 
 
@@ -126,49 +108,6 @@ def with_stamp(item: Item, seconds: float) -> Item:
 def with_fields(item: Item, **fields: Any) -> Item:
     """The message with other fields."""
     return replace(item, message=replace(item.message, **fields))
-
-
-def write_bag2(
-    path: Path,
-    items: Sequence[Item],
-    storage: StoragePlugin = StoragePlugin.MCAP,
-    compression: CompressionMode = CompressionMode.NONE,
-) -> Path:
-    """Writes a rosbag2 folder."""
-    writer = Writer(path, version=8, storage_plugin=storage)
-    writer.set_compression(compression, CompressionFormat.ZSTD)
-    with writer:
-        _write_items(writer, STORE, items, lambda item: STORE.serialize_cdr(item.message, item.kind))
-    return path
-
-
-def write_bag1(path: Path, items: Sequence[Item], compression: Writer1.CompressionFormat | None = None) -> Path:
-    """Writes a ROS 1 bag."""
-    path = path.with_name(f"{path.name}.bag")
-    writer = Writer1(path)
-    if compression:
-        writer.set_compression(compression)
-    with writer:
-        _write_items(writer, STORE1, items, serialize_ros1)
-    return path
-
-
-def serialize_ros1(item: Item) -> memoryview:
-    """The message as one of ROS 1."""
-    message = migrate_message(STORE, STORE1, item.kind, item.kind, {}, item.message)
-    return STORE1.serialize_ros1(message, item.kind)
-
-
-def _write_items(
-    writer: Writer | Writer1, store: Typestore, items: Sequence[Item], serialize: Callable[[Item], Any]
-) -> None:
-    connections: dict[tuple[str, str], Any] = {}
-    for item in items:
-        key = item.topic, item.kind
-        if key not in connections:
-            connections[key] = writer.add_connection(*key, typestore=store)
-        if item.message is not None:
-            writer.write(connections[key], item.arrival, serialize(item))
 
 
 def write_folder(path: Path, items: Sequence[Item]) -> Path:
@@ -253,59 +192,47 @@ FORMS: Mapping[str, Callable[[Path, Sequence[Item]], Path]] = {
 
 Items = Sequence[Item]
 Change = Callable[[Items, np.random.Generator], Items]
+Fields = Callable[[Any], dict[str, Any]]
+"""New values of fields of a message."""
 SENSORS = CAMERA, LASER, LIDAR
 _DAY = 86400.0
+_FRAMES = ("", "other", "a b\nc", "ø/é", "x" * 3000)
 
 
 def _choose(rng: np.random.Generator) -> str:
     return SENSORS[int(rng.integers(len(SENSORS)))]
 
 
-def _some(items: Items, rng: np.random.Generator, share: float, change: Callable[[Item], Item | None]) -> Items:
-    """Changes a random share of the messages; None removes one."""
-    chosen = rng.random(len(items)) < share
-    changed = [change(item) if hit else item for item, hit in zip(items, chosen, strict=True)]
-    return [item for item in changed if item is not None]
+def _choose_topic(rng: np.random.Generator) -> str:
+    return str(rng.choice([*SENSORS, TRIGGER, INFO]))
 
 
 def _of_topic(items: Items, topic: str, change: Callable[[Item], Item | None], share: float = 1.0,
               rng: np.random.Generator | None = None) -> Items:  # fmt: skip
-    """Changes messages of one topic, all or a random share of them."""
+    """Changes messages of one topic, or of all if it is empty, each or a random share; None removes one."""
     hits = np.ones(len(items), bool) if rng is None else rng.random(len(items)) < share
-    changed = [change(one) if one.topic == topic and hit else one for one, hit in zip(items, hits, strict=True)]
+    chosen = [hit and topic in ("", item.topic) for item, hit in zip(items, hits, strict=True)]
+    changed = [change(item) if hit else item for item, hit in zip(items, chosen, strict=True)]
     return [item for item in changed if item is not None]
+
+
+def _with_wrong(kinds: Sequence[Fields], rng: np.random.Generator) -> Callable[[Item], Item]:
+    """A change of messages by one of some kinds of wrong fields."""
+    kind = kinds[int(rng.integers(len(kinds)))]
+    return lambda item: with_fields(item, **kind(item.message))
 
 
 def _sorted(items: Items) -> Items:
     return sorted(items, key=lambda item: item.arrival)
 
 
-def duplicated(items: Items, rng: np.random.Generator) -> Items:
-    """A fifth of the messages twice."""
-    return [one for item in items for one in [item] * (2 if rng.random() < 0.2 else 1)]
-
-
-def repeated(items: Items, rng: np.random.Generator) -> Items:
-    """One message forty times."""
-    at = int(rng.integers(len(items)))
-    return [*items[:at], *[items[at]] * 40, *items[at:]]
-
-
-def reordered(items: Items, rng: np.random.Generator) -> Items:
-    """Stored in random order, with their arrival times."""
-    return [items[i] for i in rng.permutation(len(items))]
-
-
 def late(items: Items, rng: np.random.Generator) -> Items:
     """A tenth of the messages arrives up to two seconds late."""
-    return _sorted(
-        _some(items, rng, 0.1, lambda one: replace(one, arrival=one.arrival + int(rng.uniform(0, 2e9))))
-    )
 
+    def delay(item: Item) -> Item:
+        return replace(item, arrival=item.arrival + int(rng.uniform(0, 2e9)))
 
-def lost(items: Items, rng: np.random.Generator) -> Items:
-    """A random share of all messages is lost, 5 to 95 %."""
-    return _some(items, rng, float(rng.uniform(0.05, 0.95)), lambda _: None)
+    return _sorted(_of_topic(items, "", delay, 0.1, rng))
 
 
 def ended_early(items: Items, rng: np.random.Generator) -> Items:
@@ -313,11 +240,6 @@ def ended_early(items: Items, rng: np.random.Generator) -> Items:
     topic, first = _choose(rng), items[0].arrival
     end = first + rng.random() * (items[-1].arrival - first)
     return _of_topic(items, topic, lambda one: one if one.arrival < end else None)
-
-
-def stamps_at_zero(items: Items, rng: np.random.Generator) -> Items:
-    """Stamps of one sensor that are not set: all, or some."""
-    return _of_topic(items, _choose(rng), lambda one: with_stamp(one, 0.0), rng.choice([0.1, 1.0]), rng)
 
 
 def stamps_in_the_future(items: Items, rng: np.random.Generator) -> Items:
@@ -343,21 +265,9 @@ def stamps_that_stand(items: Items, rng: np.random.Generator) -> Items:
 
 def empty_topic(items: Items, rng: np.random.Generator) -> Items:
     """A sensor, the trigger or the intrinsics have a topic and no message."""
-    topic = str(rng.choice([*SENSORS, TRIGGER, INFO]))
+    topic = _choose_topic(rng)
     kind = next(item.kind for item in items if item.topic == topic)
     return [Item(topic, kind, 0, None), *(item for item in items if item.topic != topic)]
-
-
-def missing_topic(items: Items, rng: np.random.Generator) -> Items:
-    """A sensor, the trigger or the intrinsics were not recorded."""
-    topic = str(rng.choice([*SENSORS, TRIGGER, INFO]))
-    return [item for item in items if item.topic != topic]
-
-
-def empty_clouds(items: Items, rng: np.random.Generator) -> Items:
-    """Half of the clouds have no points."""
-    empty = {"width": 0, "row_step": 0, "data": np.zeros(0, np.uint8)}
-    return _of_topic(items, LIDAR, lambda one: with_fields(one, **empty), 0.5, rng)
 
 
 def clouds_of_nan(items: Items, rng: np.random.Generator) -> Items:
@@ -376,27 +286,17 @@ def clouds_of_nan(items: Items, rng: np.random.Generator) -> Items:
 
 def clouds_that_contradict(items: Items, rng: np.random.Generator) -> Items:
     """Clouds with a wrong width, step or fields, or data cut short."""
-    kind = int(rng.integers(4))
-
-    def spoil(item: Item) -> Item:
-        message = item.message
-        match kind:
-            case 0:
-                return with_fields(item, width=int(message.width * 3))
-            case 1:
-                return with_fields(item, point_step=0)
-            case 2:
-                return with_fields(item, fields=message.fields[1:])
-            case _:
-                return with_fields(item, data=message.data[: len(message.data) // 2 + 1])
-
-    return _of_topic(items, LIDAR, spoil, float(rng.choice([0.1, 1.0])), rng)
+    kinds: Sequence[Fields] = (
+        lambda cloud: {"width": int(cloud.width * 3)},
+        lambda _: {"point_step": 0},
+        lambda cloud: {"fields": cloud.fields[1:]},
+        lambda cloud: {"data": cloud.data[: len(cloud.data) // 2 + 1]},
+    )
+    return _of_topic(items, LIDAR, _with_wrong(kinds, rng), float(rng.choice([0.1, 1.0])), rng)
 
 
 def images_of_zero_size(items: Items, rng: np.random.Generator) -> Items:
     """Some or all images are raw images without pixels."""
-    share = float(rng.choice([0.2, 1.0]))
-    chosen = rng.random(len(items)) < share
 
     def empty(item: Item) -> Item:
         raw = STORE.types["sensor_msgs/msg/Image"](
@@ -405,9 +305,7 @@ def images_of_zero_size(items: Items, rng: np.random.Generator) -> Items:
         )  # fmt: skip
         return replace(item, kind="sensor_msgs/msg/Image", message=raw)
 
-    return [
-        empty(one) if one.topic == CAMERA and hit else one for one, hit in zip(items, chosen, strict=True)
-    ]  # fmt: skip
+    return _of_topic(items, CAMERA, empty, float(rng.choice([0.2, 1.0])), rng)
 
 
 def damaged_images(items: Items, rng: np.random.Generator) -> Items:
@@ -423,48 +321,30 @@ def damaged_images(items: Items, rng: np.random.Generator) -> Items:
 
 def spoiled_intrinsics(items: Items, rng: np.random.Generator) -> Items:
     """CameraInfo with zeros, nan, another size, an unknown lens, or a change in the middle."""
-    kind, middle = int(rng.integers(6)), items[len(items) // 2].arrival
-
-    def spoil(item: Item) -> Item:
-        k = item.message.k
-        match kind:
-            case 0:
-                return with_fields(item, k=np.zeros(9))
-            case 1:
-                return with_fields(item, width=0, height=0, k=np.zeros(9))
-            case 2:
-                return with_fields(item, k=np.full(9, np.nan))
-            case 3:
-                return with_fields(item, width=item.message.width * 2)
-            case 4:
-                return with_fields(item, distortion_model="magic")
-            case _:
-                return with_fields(item, k=k * 1.5) if item.arrival > middle else item
-
-    return _of_topic(items, INFO, spoil)
+    later = items[len(items) // 2 + 1 :]
+    middle = next((stamp_of(item) for item in later if item.topic == INFO), np.inf)
+    kinds: Sequence[Fields] = (
+        lambda _: {"k": np.zeros(9)},
+        lambda _: {"width": 0, "height": 0, "k": np.zeros(9)},
+        lambda _: {"k": np.full(9, np.nan)},
+        lambda info: {"width": info.width * 2},
+        lambda _: {"distortion_model": "magic"},
+        lambda info: {"k": info.k * (1.5 if seconds_of(info.header) >= middle else 1.0)},
+    )
+    return _of_topic(items, INFO, _with_wrong(kinds, rng))
 
 
 def spoiled_scans(items: Items, rng: np.random.Generator) -> Items:
     """Scans without ranges, of nan, inf or negative ranges, without increment, or with other numbers of beams."""
-    kind, share = int(rng.integers(6)), float(rng.choice([0.3, 1.0]))
-
-    def spoil(item: Item) -> Item:
-        ranges = item.message.ranges
-        match kind:
-            case 0:
-                return with_fields(item, ranges=ranges[:0])
-            case 1:
-                return with_fields(item, ranges=np.full_like(ranges, rng.choice([np.nan, np.inf, -np.inf])))
-            case 2:
-                return with_fields(item, ranges=-ranges)
-            case 3:
-                return with_fields(item, angle_increment=float(rng.choice([0.0, np.nan])))
-            case 4:
-                return with_fields(item, ranges=ranges[: rng.integers(1, len(ranges))])
-            case _:
-                return with_fields(item, time_increment=float(rng.choice([-1.0, np.nan, 10.0])))
-
-    return _of_topic(items, LASER, spoil, share, rng)
+    kinds: Sequence[Fields] = (
+        lambda scan: {"ranges": scan.ranges[:0]},
+        lambda scan: {"ranges": np.full_like(scan.ranges, rng.choice([np.nan, np.inf, -np.inf]))},
+        lambda scan: {"ranges": -scan.ranges},
+        lambda _: {"angle_increment": float(rng.choice([0.0, np.nan]))},
+        lambda scan: {"ranges": scan.ranges[: rng.integers(1, len(scan.ranges))]},
+        lambda _: {"time_increment": float(rng.choice([-1.0, np.nan, 10.0]))},
+    )
+    return _of_topic(items, LASER, _with_wrong(kinds, rng), float(rng.choice([0.3, 1.0])), rng)
 
 
 def exchanged_topics(items: Items, rng: np.random.Generator) -> Items:
@@ -477,27 +357,14 @@ def exchanged_topics(items: Items, rng: np.random.Generator) -> Items:
 def frozen_sensor(items: Items, rng: np.random.Generator) -> Items:
     """One sensor repeats its last measurement with new stamps, from some time on."""
     topic, start = _choose(rng), items[int(rng.integers(len(items) // 2))].arrival
-    last: list[Item] = []
-    result = []
-    for item in items:
-        if item.topic != topic:
-            result.append(item)
-            continue
-        if item.arrival <= start or not last:
-            last[:] = [item]
-        result.append(with_fields(last[0], header=item.message.header))
-        result[-1] = replace(result[-1], arrival=item.arrival)
-    return result
+    measured = [item for item in items if item.topic == topic]
+    last = ([item for item in measured if item.arrival <= start] or measured[:1])[-1]
 
+    def freeze(item: Item) -> Item:
+        again = with_fields(last, header=item.message.header)
+        return item if item.arrival <= start else replace(again, arrival=item.arrival)
 
-def changed_frames(items: Items, rng: np.random.Generator) -> Items:
-    """Frames of one sensor are empty, change, or are odd names."""
-    names = ["", "other", "a b\nc", "ø/é", "x" * 3000]
-
-    def rename(item: Item) -> Item:
-        return with_fields(item, header=replace(item.message.header, frame_id=str(rng.choice(names))))
-
-    return _of_topic(items, _choose(rng), rename, 0.5, rng)
+    return _of_topic(items, topic, freeze)
 
 
 def spoiled_triggers(items: Items, rng: np.random.Generator) -> Items:
@@ -505,32 +372,49 @@ def spoiled_triggers(items: Items, rng: np.random.Generator) -> Items:
     first, last = items[0].arrival, items[-1].arrival
     triggers = [item for item in items if item.topic == TRIGGER]
     others = [item for item in items if item.topic != TRIGGER]
-    match int(rng.integers(3)):
-        case 0:
-            triggers = triggers * 2
-        case 1:
-            times = rng.uniform(first, last, len(triggers))
-            pairs = zip(triggers, times, strict=True)
-            triggers = [with_stamp(replace(item, arrival=int(time)), time / 1e9) for item, time in pairs]
-        case _:
-            triggers = triggers[:1]
-    return _sorted([*others, *triggers])
+    kind = int(rng.integers(3))
+    if kind == 1:
+        times = rng.uniform(first, last, len(triggers))
+        pairs = zip(triggers, times, strict=True)
+        triggers = [with_stamp(replace(item, arrival=int(time)), time / 1e9) for item, time in pairs]
+    return _sorted([*others, *(triggers * 2 if kind == 0 else triggers if kind == 1 else triggers[:1])])
 
 
+def _repeat(items: Items, at: int) -> Items:
+    return [*items[:at], *[items[at]] * 40, *items[at:]]
+
+
+def _remove(items: Items, topic: str) -> Items:
+    return [item for item in items if item.topic != topic]
+
+
+def _rename_frame(item: Item, frame: str) -> Item:
+    return with_fields(item, header=replace(item.message.header, frame_id=frame))
+
+
+_NO_POINTS = {"width": 0, "row_step": 0, "data": np.zeros(0, np.uint8)}
 MESSAGE_DAMAGE: Mapping[str, Change] = {
-    "messages duplicated": duplicated,
-    "one message 40 times": repeated,
-    "stored in random order": reordered,
+    "messages duplicated": lambda items, rng: [
+        one for one in items for _ in range(2 if rng.random() < 0.2 else 1)
+    ],
+    "one message 40 times": lambda items, rng: _repeat(items, int(rng.integers(len(items)))),
+    "stored in random order": lambda items, rng: [items[i] for i in rng.permutation(len(items))],
     "10 % arrive late": late,
-    "5 to 95 % of messages lost": lost,
+    "5 to 95 % of messages lost": (
+        lambda items, rng: _of_topic(items, "", lambda _: None, float(rng.uniform(0.05, 0.95)), rng)
+    ),
     "one sensor ends early": ended_early,
-    "stamps 0": stamps_at_zero,
+    "stamps 0": lambda items, rng: _of_topic(
+        items, _choose(rng), lambda one: with_stamp(one, 0.0), rng.choice([0.1, 1.0]), rng
+    ),
     "stamps in the future": stamps_in_the_future,
     "stamps jump": stamps_that_jump,
     "stamps stand still": stamps_that_stand,
     "topic without messages": empty_topic,
-    "topic missing": missing_topic,
-    "half of the clouds empty": empty_clouds,
+    "topic missing": lambda items, rng: _remove(items, _choose_topic(rng)),
+    "half of the clouds empty": (
+        lambda items, rng: _of_topic(items, LIDAR, lambda one: with_fields(one, **_NO_POINTS), 0.5, rng)
+    ),
     "points nan, inf, 1e30": clouds_of_nan,
     "clouds that contradict themselves": clouds_that_contradict,
     "images of zero size": images_of_zero_size,
@@ -539,6 +423,10 @@ MESSAGE_DAMAGE: Mapping[str, Change] = {
     "scans empty, nan, irregular": spoiled_scans,
     "topics of another type": exchanged_topics,
     "one sensor frozen": frozen_sensor,
-    "frames empty, odd, changing": changed_frames,
+    "frames empty, odd, changing": (
+        lambda items, rng: _of_topic(
+            items, _choose(rng), lambda one: _rename_frame(one, str(rng.choice(_FRAMES))), 0.5, rng
+        )
+    ),
     "triggers wrong": spoiled_triggers,
 }

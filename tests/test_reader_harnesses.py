@@ -5,8 +5,8 @@ from random import Random
 
 import pytest
 
-import fuzz_harnesses
 from fuzz_readers import Monitor
+from reader_harnesses import HARNESSES, Harness
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +26,7 @@ def damage(data: bytes, rng: Random) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("name", fuzz_harnesses.HARNESSES)
+@pytest.mark.parametrize("name", HARNESSES)
 def test_a_reader_answers_damaged_input(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     scratch = tmp_path / "scratch"
@@ -54,7 +54,7 @@ def test_a_finding_is_kept_with_its_traceback(tmp_path: Path, monkeypatch: pytes
         if len(data) > 3:
             raise IndexError("out of range")
 
-    monkeypatch.setattr(monitor, "harness", fuzz_harnesses.Harness(broken, list))
+    monkeypatch.setattr(monitor, "harness", Harness(broken, list))
     monitor.scratch.mkdir()
     for data in (b"123", b"123456", b"1234", b"12345"):
         monitor.run(data)

@@ -1,6 +1,5 @@
 """Small valid inputs of each reader, from which the fuzzer starts."""
 
-import gzip
 import sqlite3
 import struct
 from collections.abc import Callable, Mapping
@@ -13,7 +12,6 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-from backports import zstd
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from ruamel.yaml import YAML
@@ -21,38 +19,23 @@ from ruamel.yaml import YAML
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.io.records import encode_records
 from calgraph.io.text_writing import format_yaml
+from calgraph.recording.writer import Encoding, serialize_message
 from calgraph.result import export, save_budget, save_calibration, save_scene
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import (
-    CameraOptions,
-    LaserOptions,
-    MultibeamOptions,
-    RigScenario,
-    SpinningOptions,
-    build_world,
-    save_truth,
-)
+from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
+from calgraph.simulation import save_truth
 from ideal_detections import simulate_detections
-from reliability_messages import STORE, Item, serialize_ros1, write_bag1, write_bag2
+from model_error_rigs import rig_world
+from ros_bags import STORE, Item, serialize_ros1, write_bag1, write_bag2
 
 Seeds = Callable[[], list[bytes]]
 
-CACHE_KEY, CACHE_FORMAT = 64 * "0", "calgraph-cache/1"
+CACHE_KEY, MCAP_MAGIC = 64 * "0", b"\x89MCAP0\r\n"
 
 PIXELS = np.arange(8 * 6 * 3, dtype=np.uint8).reshape(6, 8, 3)
-SCENARIO = RigScenario(
-    camera=CameraOptions(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
-    laser=LaserOptions(count=1, resolution=1.0),
-    spinning=SpinningOptions(count=0),
-    multibeam=MultibeamOptions(count=1, resolution=2.0),
-    bearings=(-30, -10, 10, 30),
-    radii=(1.5, 2.5),
-    background=1.0,
-)
-
 RIG = b"""root: lidar
 target:
   kind: board
@@ -108,6 +91,15 @@ PLY = (
     "ply\nformat {} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
     "property ushort ring\nend_header\n"
 )
+
+
+def rigs() -> list[bytes]:
+    """A rig with each kind of print, and a network."""
+    before, _, sensors = RIG.partition(b"sensors")
+    kept = before.replace(b"family: tag36h11", b"pattern: %s").partition(b"  tags:")[0] + b"sensors" + sensors
+    return [RIG, NETWORK, *written("rig.resolved.yaml")(), *(kept.replace(b"%s", one) for one in PATTERNS)]
+
+
 SETTINGS = (
     b"captures.min_hold=2", b"detection.camera={}", b"graph=null", b"detection.lidar3d.min_points=[1, {a: b}]",
     b"captures.max_messages.camera=3",
@@ -176,11 +168,6 @@ def images() -> list[bytes]:
     return [cv2.imencode(suffix, pixels)[1].tobytes() for suffix, pixels in pairs]
 
 
-def gzipped(seeds: Seeds) -> Seeds:
-    """The same, gzipped."""
-    return lambda: [gzip.compress(seed) for seed in seeds()]
-
-
 MESSAGE_TYPES = (
     "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud2",
     "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo",
@@ -191,48 +178,28 @@ MESSAGE_TYPES = (
 
 @cache
 def ros_messages() -> tuple[Item, ...]:
-    """One message of each type."""
-    types = STORE.types
-    time = types["builtin_interfaces/msg/Time"](sec=12, nanosec=5)
-    header = types["std_msgs/msg/Header"](stamp=time, frame_id="sensor")
-    echo = types["sensor_msgs/msg/LaserEcho"](echoes=np.ones(2, np.float32))
-    beams: dict[str, Any] = {
-        "header": header, "angle_min": -0.5, "angle_max": 0.5, "angle_increment": 0.25, "time_increment": 1e-3,
-        "scan_time": 0.1, "range_min": 0.5, "range_max": 8.0,
-    }  # fmt: skip
-    points = scan_points()
-    field = types["sensor_msgs/msg/PointField"]
-    fields = [field(n, offset, code, 1) for n, offset, code in zip("xyz", (0, 4, 8), (7, 7, 7), strict=True)]
-    messages = [
-        types[MESSAGE_TYPES[0]](**beams, ranges=np.ones(5, np.float32), intensities=np.zeros(0, np.float32)),
-        types[MESSAGE_TYPES[1]](**beams, ranges=[echo], intensities=[]),
-        types[MESSAGE_TYPES[2]](
-            header=header, height=1, width=2, fields=fields, is_bigendian=False, point_step=points.itemsize,
-            row_step=points.nbytes, data=points.view(np.uint8), is_dense=True,
-        ),
-        types[MESSAGE_TYPES[3]](
-            header=header, height=6, width=8, encoding="bgr8", is_bigendian=0, step=24, data=PIXELS.ravel()
-        ),
-        types[MESSAGE_TYPES[4]](
-            header=header, format="bgr8; png compressed bgr8",
-            data=np.frombuffer(cv2.imencode(".png", PIXELS)[1].tobytes(), np.uint8),
-        ),
-        types[MESSAGE_TYPES[5]](
-            header=header, height=6, width=8, distortion_model="plumb_bob", binning_x=0, binning_y=0,
-            roi=types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
-            d=np.zeros(5), k=np.diag([9.0, 9, 1]).ravel(), r=np.eye(3).ravel(), p=np.zeros(12),
-        ),
-        header,
-    ]  # fmt: skip
-    return tuple(Item(f"/t{i}", one.__msgtype__, 10**9 + i, one) for i, one in enumerate(messages))
+    """One message of each type that calgraph writes."""
+    sensor, image = (12.5, "sensor"), Image(12.5, "sensor", PIXELS)
+    camera = CameraModel("pinhole", 8, 6, np.diag([9.0, 9, 1]), np.zeros(5))
+    messages: tuple[tuple[Message, Encoding], ...] = (
+        (LaserScan(*sensor, np.linspace(-0.5, 0.5, 5), np.ones(5), 1e-3), "raw"),
+        (PointCloud(*sensor, np.eye(3)[:2], np.zeros(2, np.int32), np.zeros(2)), "raw"), (image, "raw"),
+        (image, "png"), (CameraInfo(*sensor, camera), "raw"), (Trigger(12.5), "raw"),
+    )  # fmt: skip
+    written = [serialize_message(STORE, message, encoding) for message, encoding in messages]
+    return tuple(
+        Item(f"/t{i}", kind, 10**9 + i, STORE.deserialize_cdr(data, kind))
+        for i, (kind, data) in enumerate(written)
+    )
 
 
 def messages() -> list[bytes]:
     """A byte with type and serialisation, and then the serialised message."""
     seeds = []
-    for i, item in enumerate(ros_messages()):
-        seeds.append(bytes([2 * i]) + bytes(STORE.serialize_cdr(item.message, item.kind)))
-        seeds.append(bytes([2 * i + 1]) + bytes(serialize_ros1(item)))
+    for item in ros_messages():
+        first = 2 * MESSAGE_TYPES.index(item.kind)
+        seeds.append(bytes([first]) + bytes(STORE.serialize_cdr(item.message, item.kind)))
+        seeds.append(bytes([first + 1]) + bytes(serialize_ros1(item)))
     return seeds
 
 
@@ -280,6 +247,17 @@ def mcaps() -> list[bytes]:
     return _bags2(StoragePlugin.MCAP, CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.STORAGE)
 
 
+def chunks() -> list[bytes]:
+    """What the chunks of an MCAP without compression contain."""
+    data, position, kept = mcaps()[0], len(MCAP_MAGIC), []
+    while position < len(data) - len(MCAP_MAGIC):
+        op, size = struct.unpack_from("<BQ", data, position)
+        if op == 6:
+            kept.append(data[position + 9 + 40 : position + 9 + size])
+        position += 9 + size
+    return kept
+
+
 def databases() -> list[bytes]:
     """SQLite files with small pages, so that mutations reach rows rather than free space."""
     seeds = []
@@ -297,23 +275,20 @@ def databases() -> list[bytes]:
     return seeds
 
 
-def videos() -> list[bytes]:
-    """Videos of three frames in the containers that are read."""
-    seeds = []
-    for suffix, codec in (("mkv", "mpeg4"), ("mp4", "mpeg4"), ("avi", "mjpeg")):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / f"a.{suffix}"
-            with av.open(str(path), "w") as container:
-                stream = container.add_stream(codec, rate=10)
-                assert isinstance(stream, av.VideoStream)
-                stream.width, stream.height = 16, 16
-                stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
-                for i in range(3):
-                    frame = av.VideoFrame.from_ndarray(np.full((16, 16, 3), 60 * i, np.uint8), format="bgr24")
-                    container.mux(stream.encode(frame))
-                container.mux(stream.encode())
-            seeds.append(path.read_bytes())
-    return seeds
+def video(suffix: str, codec: str) -> bytes:
+    """Three frames."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"a.{suffix}"
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream(codec, rate=10)
+            assert isinstance(stream, av.VideoStream)
+            stream.width, stream.height = 16, 16
+            stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+            for i in range(3):
+                frame = av.VideoFrame.from_ndarray(np.full((16, 16, 3), 60 * i, np.uint8), format="bgr24")
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+        return path.read_bytes()
 
 
 CORNERS = (
@@ -345,8 +320,7 @@ METADATA = b"""rosbag2_bagfile_information:
 @cache
 def written_files() -> Mapping[str, bytes]:
     """The files that calgraph writes for a small simulated rig, by name."""
-    world = build_world(SCENARIO, 1)
-    rig, captured, truth = simulate_detections(world, 0, None, None)
+    rig, captured, truth = simulate_detections(rig_world("five", 1, (("samples", 1),)), 0)
     problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(0))
     calibration = solve_problem(problem)
     with TemporaryDirectory() as name:
@@ -356,15 +330,10 @@ def written_files() -> Mapping[str, bytes]:
         save_budget(calibration, folder / "budget.csv")
         save_scene(calibration.pictures, folder / "scene.npz")
         save_truth(folder / "truth.yaml", truth)
+        found = captured.detections["camera"].items()
+        content, arrays = encode_records(tuple(SensorCapture(k, "camera", one, None) for k, one in found))
+        CacheFolder(folder).write(CACHE_KEY, "calgraph-cache/1", {"result": content}, arrays)
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
-        captures = tuple(
-            SensorCapture(capture, "camera", found, None)
-            for capture, found in captured.detections["camera"].items()
-        )
-        content, arrays = encode_records(captures)
-        cache = CacheFolder(folder)
-        cache.write(CACHE_KEY, CACHE_FORMAT, {"result": content}, arrays)
-        files["cache"] = (folder / f"{CACHE_KEY}.npz").read_bytes()
     # Reading YAML takes 0.1 s for 16 kB: a shorter file of the same structure.
     content = YAML(typ="safe").load(files["calibration.yaml"])
     content["quality"]["edges"] = content["quality"]["edges"][:1]
@@ -382,8 +351,3 @@ def written_files() -> Mapping[str, bytes]:
 def written(*names: str) -> Seeds:
     """Some of the files that calgraph writes."""
     return lambda: [written_files()[name] for name in names]
-
-
-def zstd_of(seeds: Seeds) -> Seeds:
-    """The same, compressed as rosbag2 compresses whole files."""
-    return lambda: [zstd.compress(seed) for seed in seeds()]
