@@ -19,6 +19,6 @@ from calgraph.geometry.local_lines import fit_local_lines
 
 __all__ = [
     "STDDEV_PER_MAD", "Array", "Index", "diagonal_blocks", "ellipse", "estimate_spread", "find_column_medians",
-    "find_median", "fit_local_lines", "invert_2x2", "join_rows", "matvec", "measure_lengths", "plane", "se2", "se3",
-    "se_n", "select_rows", "so3",
+    "find_median", "fit_local_lines", "invert_2x2", "join_rows", "matvec", "measure_lengths", "plane", "se2",
+    "se3", "se_n", "select_rows", "so3",
 ]  # fmt: skip
