@@ -38,7 +38,7 @@ from calgraph.result import Calibration
 from calgraph.rig.checks.drift_tests import find_drifts
 from frozen import list_problems, prepare, select
 from frozen_recordings import MissingDataError
-from model_errors import detect, is_confidently_wrong
+from model_errors import RIGHT, detect, is_confidently_wrong
 from random_rig_draws import draw_rig, true_poses
 from worlds import NAN, Layout, find_errors, grouped, make_parser, mean, rms, run_worlds, worst
 
@@ -183,7 +183,9 @@ def find_true_poses(name: str) -> Mapping[str, Array] | None:
     """``T_root_sensor`` (4, 4) by sensor where a problem has them."""
     make: Any = list_problems()[name]
     if name.startswith("model_errors/"):
-        detected = detect(*make.args)
+        rig, *error, seed = make.args
+        # A tremor is of the board alone: its poses are those of the right world.
+        detected = detect(rig, *(error if len(error) > 1 else (RIGHT, 0.0)), seed)
         return None if detected is None else detected[2].T_root_sensor
     if name.startswith("random_rigs/"):
         (seed,), options = make.args, make.keywords
