@@ -64,14 +64,7 @@ def find_untimed_scanners(
 def compensate_with_beam_times(
     rig: Rig, captures: CaptureSet, untimed: Mapping[str, UntimedScanner], rng: np.random.Generator
 ) -> CaptureSet:
-    """The captures of a moving board as of :func:`compensate_motion`, with the times of beams that others show.
-
-    Args:
-        rig: of the captures.
-        captures: as measured.
-        untimed: scanners without times.
-        rng: for the samples of pairs.
-    """
+    """The captures of a moving board as of :func:`compensate_motion`, with the times of beams that others show."""
     settings = rig.settings.captures.moving_board
     moved = compensate_motion(captures, settings)
     turns = {name: _estimate_turn(rig, moved, name, scanner, rng) for name, scanner in untimed.items()}

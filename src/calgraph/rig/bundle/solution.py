@@ -48,8 +48,6 @@ class RigSolution:
     residuals: Mapping[str, Array]
     """Whitened residuals by sensor, or by kind of edge."""
     converged: bool
-    remarks: tuple[str, ...] = ()
-    """Observations that were not used, with the reason."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
     """By capture and sensor, why a detection was rejected although it was an inlier of a pair."""
     returned: frozenset[tuple[int, str, int]] = frozenset()

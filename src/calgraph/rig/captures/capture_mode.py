@@ -107,11 +107,6 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
     A timeline without activity (built without meters) shows whether the recording consists of snapshots, but not
     whether the board ever rests: the mode is then ``rest``, and ``spread`` is stated where the stamps show sets of
     frames.
-
-    Args:
-        timeline: when the sensors measured, and how much their views changed.
-        capture: what rig.yaml states.
-        settings: of the search for captures.
     """
     if capture.mode:
         return RecognizedMode(capture.mode, f"rig.yaml states capture.mode: {capture.mode}")

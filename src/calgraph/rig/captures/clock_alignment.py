@@ -45,11 +45,6 @@ def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = N
 
     The offsets that rig.yaml states are relative to the root's clock, which arrivals may correct itself. A trigger
     whose arrivals show nothing has the clock of the sensors with which it has some time in common.
-
-    Args:
-        rig: the rig.
-        recording: open recording with the rig's topics.
-        cache: has what earlier runs read.
     """
     names = {topic: name for name, topic in rig.topics.items()}
     triggers = [rig.capture.trigger] if rig.capture.trigger else []

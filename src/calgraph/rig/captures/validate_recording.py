@@ -18,12 +18,7 @@ _KIND_OF_MESSAGE = {message.__name__: kind.name for kind in reversed(KINDS.value
 
 
 def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
-    """Checks the messages of a recording against its rig.
-
-    Args:
-        rig: the rig.
-        timeline: of its sensors and triggers.
-        end: end of the recording, s.
+    """Checks the messages of a recording, which ends at ``end``, s, against its rig.
 
     Raises:
         InputError: no sensor has a message, a sensor's messages are of another kind, their stamps stand still or
@@ -46,11 +41,6 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
 
 def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[TopicInfo]) -> None:
     """Checks that files which are numbered by poses belong to poses of other sensors.
-
-    Args:
-        rig: the rig.
-        timeline: of its sensors.
-        topics: of the recording.
 
     Raises:
         InputError: no file of a sensor has the number of another one's.

@@ -293,7 +293,7 @@ def assemble_rig(
                 for name in rig.sensors
             ),
             unconnected=_explain_unconnected(rig, captures, pairs, connected),
-            remarks=(*(finding.text for finding in findings), *solution.remarks),
+            remarks=tuple(finding.text for finding in findings),
             residuals=solution.residuals,
             fit=measure_fit(solution),
             cross_validation=held_out,

@@ -28,10 +28,6 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[PoseStep, ...]:
 
     Source: Andrews, "Tests for parameter instability and structural change with unknown change point", 1993; for
     the probability that any step is reported, Bonferroni's bound over sensors and times.
-
-    Args:
-        problem: with all detections.
-        solution: its joint solution.
     """
     if solution.solved_bundle is None:
         return ()

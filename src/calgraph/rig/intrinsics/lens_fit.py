@@ -117,13 +117,6 @@ def fit_lens(
     """Fits a camera model to views: the camera, the noise and the inliers in turn, until they stay the same.
 
     Errors of the prints have the priors of the rig; intrinsics have none.
-
-    Args:
-        rig: with the boards and the camera.
-        name: of the camera.
-        views: of boards.
-        start: the model, and poses of the boards.
-        settings: of the rounds.
     """
     detections: Mapping[int, BoardCorners] = {
         i: _make_detection(view, T)
@@ -154,13 +147,7 @@ _MODEL_ERROR_ROUNDS = 2
 
 
 def include_model_error(rig: Rig, name: str, fit: LensFit) -> LensFit:
-    """A fit together with a residual distortion, whose size is estimated from the residuals.
-
-    Args:
-        rig: with the boards and the camera.
-        name: of the camera.
-        fit: the camera's model alone.
-    """
+    """A fit together with a residual distortion, whose size is estimated from the residuals."""
     found, noise, error = fit, fit.noise, fit.noise
     for _ in range(_MODEL_ERROR_ROUNDS):
         found = _adjust_lens(rig, name, found.detections, found.camera, noise, error)
