@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from calgraph.geometry import Array, Index, diagonal_blocks
 from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle
@@ -33,6 +35,11 @@ class SolvedBundle:
     minimized: MinimizedBundle
     captures: Index
     """(C,) the capture of each board."""
+
+    @property
+    def order(self) -> Index:
+        """(C,) the place of each board's capture among them in time, from 0."""
+        return np.unique(self.captures, return_inverse=True)[1]
 
 
 @dataclass(frozen=True, eq=False)

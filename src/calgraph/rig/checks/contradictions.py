@@ -263,8 +263,7 @@ def find_changes(
     """
     bundle, minimized = solved.bundle, solved.minimized
     confidence = 1 - settings.verdict.false_alarm_probability
-    order = np.unique(solved.captures, return_inverse=True)[1]
-    count = int(order.max(initial=-1)) + 1
+    order, count = solved.order, len(np.unique(solved.captures))
     axes = pose_jacobian(bundle, minimized.state)
     named: set[str] = set()
     for drift in find_drifts(drifts):

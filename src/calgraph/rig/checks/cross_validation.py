@@ -92,7 +92,7 @@ def cross_validate(
         raise InputError(f"`folds`: must be 0 for none, or 2 and more, got {folds}")
     bundle = solved.bundle
     units = {name: views.unit for name, views in zip(bundle.sensors, bundle.views, strict=True)}
-    fold_of = np.unique(solved.captures, return_inverse=True)[1] % folds
+    fold_of = solved.order % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     given = Kept.of(solved)
     work = [(given, fold_of == fold) for fold in np.unique(fold_of)]

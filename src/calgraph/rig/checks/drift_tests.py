@@ -87,8 +87,8 @@ def measure_drifts(solved: SolvedBundle) -> DriftStatistics:
     Its variances contain the effect of drifts: where one may be significant, they are estimated again with them.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    time, order = order_boards(solved), np.unique(solved.captures, return_inverse=True)[1]
-    factor = measure_serial_correlation(bundle, solved.minimized, order)
+    time = order_boards(solved)
+    factor = measure_serial_correlation(bundle, solved.minimized, solved.order)
     statistics = replace(score_drifts(bundle, state, solved.minimized.equations, time), serial_correlation=factor)
     if statistics.test_bodies()[0].max() <= chdtri(6, _TRIGGER_PROBABILITY / len(statistics.bodies)):
         return statistics
@@ -205,8 +205,7 @@ def list_changes(solved: SolvedBundle, drifts: DriftStatistics) -> Iterator[tupl
 
 def order_boards(solved: SolvedBundle) -> Array:
     """(C,) time of each board, counted in captures, from -1/2 to 1/2."""
-    order = np.unique(solved.captures, return_inverse=True)[1]
-    return np.asarray(order / max(int(order.max(initial=0)), 1) - 0.5)
+    return np.asarray(solved.order / max(int(solved.order.max(initial=0)), 1) - 0.5)
 
 
 # Minimum multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small drifts
