@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.config import Rig
@@ -119,13 +120,10 @@ def _estimate_turn(
     ]
     if not parts:
         return None
-    jacobian = np.zeros((sum(len(own) for own, _, _ in parts), 2, _UNKNOWNS * len(parts) + 1))
-    row = 0
-    for k, (own, _, _) in enumerate(parts):
-        rows = slice(row, row + len(own))
-        jacobian[rows, :, _UNKNOWNS * k : _UNKNOWNS * (k + 1)] = own[:, :, :_UNKNOWNS]
-        jacobian[rows, :, -1] = own[:, :, _UNKNOWNS]
-        row += len(own)
+    rows = [own.reshape(-1, _UNKNOWNS + 1) for own, _, _ in parts]
+    shared = np.concatenate([one[:, _UNKNOWNS] for one in rows])
+    own_and_shared = np.column_stack([block_diag(*(one[:, :_UNKNOWNS] for one in rows)), shared])
+    jacobian = own_and_shared.reshape(-1, 2, own_and_shared.shape[1])
     distances = np.concatenate([one for _, one, _ in parts])
     # Errors of the scanner in one capture are in all pairs.
     _, groups = np.unique(np.concatenate([one for _, _, one in parts]), return_inverse=True)
