@@ -90,7 +90,12 @@ class Bundle:
 
     def without_outlines(self) -> "Bundle":
         """The bundle with observations of the boards' planes and prints only."""
-        return replace(self, outlines=(), outline_sensor=(), bias_variance=self.bias_variance[: len(self.views)])
+        sensors = len(self.views)
+        parameters = tuple(
+            replace(one, view_sets=tuple(k for k in one.view_sets if k < sensors)) for one in self.extra_parameters
+        )
+        kept = replace(self, extra_parameters=parameters, bias_variance=self.bias_variance[:sensors])
+        return replace(kept, outlines=(), outline_sensor=())
 
     def extra_indices(self, k: int) -> Index:
         """(e,) indices of the extra parameters of views k."""

@@ -120,7 +120,7 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
     frames = find_frame_sets(timeline, capture)
     spread = None
     if _are_synchronized(frames, timeline, settings):
-        spread = float(np.median([one.end - one.start for one in frames])) if frames else 0.0
+        spread = float(np.median([one.end - one.start for one in frames]))
     if not any(np.nan_to_num(times.activity).any() for times in timeline.sensors.values()):
         reason = "the sensors measure continuously; how much their views change was not measured"
         return RecognizedMode("rest", reason, spread)

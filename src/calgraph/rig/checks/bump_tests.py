@@ -45,7 +45,7 @@ def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, 
     pairs = [e for e in select_successful(problem.pairs) if e.sensor_a in names and e.sensor_b in names]
     inliers = group_detections([(pair, pair.inliers) for pair in pairs])
     boards = add_unambiguous_detections(inliers, problem.captures.detections, names)
-    without_outlines = without_priors(_remove_outlines(solved.bundle))
+    without_outlines = without_priors(solved.bundle.without_outlines())
     state = solved.minimized.state
     if sum(len(board.detection_index) for board in boards) == sum(len(v.board) for v in solved.bundle.views):
         bundle, captures, cache = without_outlines, solved.captures, solved.minimized.equations.cache[: len(names)]
@@ -55,15 +55,6 @@ def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, 
         captures, cache = np.array([board.capture for board in boards]), ()
     solution = minimize_bundle(bundle, state, cache, tolerance=COARSE_TOLERANCE, exact=False)
     return bundle, solution, captures
-
-
-def _remove_outlines(bundle: Bundle) -> Bundle:
-    """The bundle without outlines and their parameters."""
-    sensors = len(bundle.views)
-    kept = tuple(
-        replace(one, view_sets=tuple(k for k in one.view_sets if k < sensors)) for one in bundle.extra_parameters
-    )
-    return replace(bundle.without_outlines(), extra_parameters=kept)
 
 
 _EARLIER_CAPTURE = "before the sensor moved"
