@@ -110,7 +110,7 @@ def _detect_in_timeline(
     intrinsics = estimate_unknown_intrinsics(
         resolved, recording, timeline, holds, options.engine, progress, options.cache
     )
-    cameras = resolved.camera_models() | intrinsics.cameras
+    cameras = resolved.camera_models() | {name: one.camera for name, one in intrinsics.estimates.items()}
     tags = options.select_method(rig.settings.published).tags
     method = DetectionMethod(cameras, draw_seeds(rig, rng), intrinsics.marks, tags, _select_plane_estimator(tags))
     usable = {name: spec for name, spec in rig.sensors.items() if name not in intrinsics.failed}

@@ -233,8 +233,7 @@ class _Reference:
 def _list_points(message: Message) -> Array:
     """(N, 3) finite points, scanner frame, m."""
     if isinstance(message, LaserScan):
-        angles, ranges = message.angles[message.valid], message.ranges[message.valid]
-        return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))])
+        return np.asarray(message.points[message.valid])
     if isinstance(message, PointCloud):
         finite = np.isfinite(message.points)
         return message.points if finite.all() else np.asarray(message.points[finite.all(axis=1)])

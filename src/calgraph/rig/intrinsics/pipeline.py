@@ -21,7 +21,7 @@ from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_i
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, ImageMarks
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
-from calgraph.sensors import CameraModel, Message
+from calgraph.sensors import Message
 
 _log = logging.getLogger(__name__)
 
@@ -38,11 +38,6 @@ class EstimatedIntrinsics:
     """By each other camera without intrinsics, why not."""
     marks: Mapping[str, Mapping[float, tuple[Marks, ...]]]
     """By camera and stamp of an image, what each finder found in it."""
-
-    @property
-    def cameras(self) -> dict[str, CameraModel]:
-        """The estimated intrinsics."""
-        return {name: one.camera for name, one in self.estimates.items()}
 
 
 def estimate_unknown_intrinsics(
