@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import DiagnosticsSettings, DriftTestSettings
-from calgraph.geometry import Array, so3
+from calgraph.geometry import Array
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_solver import (
     Bundle,
@@ -19,6 +19,7 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleState,
     MinimizedBundle,
     body_jacobian,
+    displacement_jacobian,
     linearize_bundle,
 )
 from calgraph.rig.bundle.covariances import pose_jacobian, view_covariance_factors
@@ -169,7 +170,7 @@ def average_drifts(
     for s, body in enumerate(bundle.body.tolist()):
         if body:
             at_end[s, :, 6 * body : 6 * body + 6] = body_jacobian(bundle, state, s)
-            at_end[s, :, :6] = -_displacement_with_root(state, s)
+            at_end[s, :, :6] = -displacement_jacobian(state, s, 0)
     jacobian, moments, log_probability = pose_jacobian(bundle, state), [], []
     for changes, log_prior in possible:
         of_changes, log_evidence = compute_drift_moments(changes.repeat(multiple), settings)
@@ -254,13 +255,6 @@ def compute_drift_moments(statistics: DriftStatistics, settings: DriftTestSettin
     probability /= probability.sum()
     moments = np.einsum("m,mij->ij", probability, covariance) + (probability * mean.T) @ mean
     return np.asarray(moments), log_evidence
-
-
-def _displacement_with_root(state: BundleState, sensor: int) -> Array:
-    """(6, 6) that of a point of the root's body at the sensor, by that of the root."""
-    J = np.eye(6)
-    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3])
-    return J
 
 
 def score_drifts(bundle: Bundle, state: BundleState, equations: BundleEquations, time: Array) -> DriftStatistics:
