@@ -263,6 +263,7 @@ def _draw_candidates(
     return se3.pose(so3.exp(phi) @ np.stack([x, y, z], axis=-1), position)
 
 
+# A camera's axes are right, down, forward.
 _CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
