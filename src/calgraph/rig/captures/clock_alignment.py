@@ -269,19 +269,10 @@ def find_late_views(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Comparison:
-    """The correlation of the changes of two views."""
-
-    offsets: Array
-    """(N,) of the second clock from the first one, s, ascending."""
-    correlation: Array
-    """(N,) with each offset."""
-    count: float
-    """Number of independent samples."""
-
-
-Pairs = Mapping[tuple[str, str], _Comparison]
+Comparison = tuple[Array, Array, float]
+"""Offsets (N,) of one clock from another, s, ascending, the correlation (N,) of the changes of both views with
+each of them, and the number of independent samples."""
+Pairs = Mapping[tuple[str, str], Comparison]
 
 
 def _compare_all(timeline: RecordingTimeline) -> Pairs:
@@ -291,15 +282,15 @@ def _compare_all(timeline: RecordingTimeline) -> Pairs:
     return {pair: one for pair, one in compared.items() if one is not None}
 
 
-def _select_pairs(name: str, pairs: Pairs, known: Mapping[str, float]) -> Iterator[tuple[Array, Array, float]]:
-    """Of a sensor and every known one: offsets of its clock, ascending, their correlation, and the samples."""
-    for (a, b), one in pairs.items():
-        if len(one.offsets) < 2:
+def _select_pairs(name: str, pairs: Pairs, known: Mapping[str, float]) -> Iterator[Comparison]:
+    """The comparisons of a sensor with every known one, with offsets of its clock from that which counts."""
+    for (a, b), (offsets, correlation, count) in pairs.items():
+        if len(offsets) < 2:
             continue
         if name == b and a in known:
-            yield one.offsets + known[a], one.correlation, one.count
+            yield offsets + known[a], correlation, count
         elif name == a and b in known:
-            yield known[b] - one.offsets[::-1], one.correlation[::-1], one.count
+            yield known[b] - offsets[::-1], correlation[::-1], count
 
 
 def _weigh(name: str, pairs: Pairs, known: Mapping[str, float], offsets: Array) -> tuple[Array, Array]:
@@ -379,7 +370,7 @@ _MIN_OVERLAP = 0.5
 _RESOLUTION = 0.02
 
 
-def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison | None:
+def _correlate_views(reference: SensorTimes, other: SensorTimes) -> Comparison | None:
     """How similarly two views change with each offset of the other's clock; None if that cannot be known."""
     pair = reference, other = reference.with_content(), other.with_content()
     if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) < _MIN_SPAN for times in pair):
@@ -394,7 +385,7 @@ def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison 
         return None
     lags, correlation = correlate_at_lags(first, second, _MIN_OVERLAP)
     offsets = _center(other) - _center(reference) - step * lags.astype(np.float64)
-    return _Comparison(offsets[::-1], correlation[::-1], _count_independent(first, second))
+    return offsets[::-1], correlation[::-1], _count_independent(first, second)
 
 
 def _count_changes(activity: Array, step: float) -> int:
