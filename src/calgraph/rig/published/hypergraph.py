@@ -156,10 +156,11 @@ class _HypergraphBuilder:
     def observation_factors(self) -> list[Factor]:
         """All edges but sensor–sensor."""
         factors: list[Factor] = []
-        for found, kind in zip(self._measure(), (factor_types.SensorPlane, factor_types.SensorLine), strict=True):
+        kinds: tuple[Callable[..., Factor], ...] = factor_types.SensorPlane, factor_types.SensorLine
+        for found, build in zip(self._measure(), kinds, strict=True):
             if found:
                 measured, covariance = (np.array(part) for part in zip(*found, strict=True))
-                factors.append(kind(np.arange(len(found)), measured, factor_types.whitener(covariance)))
+                factors.append(build(np.arange(len(found)), measured, factor_types.whitener(covariance)))
         for name, build in _OBSERVATION_FACTORS.items():
             if self._edges[name]:
                 factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, FLATNESS))
