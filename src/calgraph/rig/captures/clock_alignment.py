@@ -18,19 +18,6 @@ from calgraph.solver.lagged_correlation import correlate_at_lags
 
 
 @dataclass(frozen=True)
-class CorrectedStamps:
-    """A rig and its recording, whose stamps are by one clock as far as arrivals and rig.yaml determine them."""
-
-    rig: Rig
-    """With the uncertainty of what was corrected."""
-    recording: Recording
-    findings: tuple[Finding, ...]
-    """What was corrected."""
-    clocks: Clocks
-    """What arrivals show."""
-
-
-@dataclass(frozen=True)
 class ClockOffset:
     """The clock of a sensor relative to that of others."""
 
@@ -40,11 +27,17 @@ class ClockOffset:
     """Of the changes of both views with this offset, at most 1."""
 
 
-def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE) -> CorrectedStamps:
+def correct_by_arrival(
+    rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE
+) -> tuple[Rig, Recording, Clocks, list[Finding]]:
     """Corrects the stamps by what rig.yaml states of clocks, and by when messages arrived.
 
     The offsets that rig.yaml states are relative to the root's clock, which arrivals may correct itself. A trigger
     whose arrivals show nothing has the clock of the sensors with which it has some time in common.
+
+    Returns:
+        The rig with the uncertainty of what was corrected, the recording with stamps by one clock as far as
+        arrivals and rig.yaml determine them, what arrivals show of clocks, and what was corrected.
     """
     names = {topic: name for name, topic in rig.topics.items()}
     triggers = [rig.capture.trigger] if rig.capture.trigger else []
@@ -65,13 +58,8 @@ def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = N
     for trigger in triggers:
         if trigger not in moved and (shared := clocks.shares_time(trigger, stated)):
             offsets[trigger] = stated[shared]
-    clocks = clocks.after_correction(offsets, moved)
-    return CorrectedStamps(
-        _widen_delays(rig, {names[topic]: one.stddev for topic, one in moved.items() if topic in names}),
-        correct_stamps(recording, offsets),
-        tuple(findings),
-        clocks,
-    )
+    rig = _widen_delays(rig, {names[topic]: one.stddev for topic, one in moved.items() if topic in names})
+    return rig, correct_stamps(recording, offsets), clocks.after_correction(offsets, moved), findings
 
 
 def _widen_delays(rig: Rig, stddev: Mapping[str, float]) -> Rig:
