@@ -267,7 +267,7 @@ def test_images_whose_marks_all_have_a_corner_that_jumps_are_rejected() -> None:
     ids, corners = np.arange(2), np.tile(100.0 * np.eye(4, 2), (2, 1, 1))
     jump = np.zeros((2, 4, 2))
     jump[:, 0, 0] = 8.0
-    found = average_marks([Marks(ids, corners), Marks(ids, corners + jump)], 1.5)
+    found = average_marks([Marks(ids, corners), Marks(ids, corners + jump)], PixelNoise(pixel=0.3))
     assert found == Rejected("board moved between images: its corners by up to 8.0 px")
 
 

@@ -121,5 +121,5 @@ def test_corners_of_a_small_grid_are_moved_by_an_eighth_of_an_edge(side: float) 
     """Tags of 10 pixels: in a window of 1 pixel, corners stay; in one of 3, they move to the next saddle point."""
     image, corners = draw_saddles(10)
     start = corners + side * 10 / 8 * np.sqrt(0.5)
-    refined = _refine_saddles(image, start.astype(np.float32), (0.14, 0.07))
+    refined = _refine_saddles(image, start.astype(np.float32))
     np.testing.assert_allclose(refined, corners, atol=0.5)

@@ -75,9 +75,8 @@ def collect(
         # Texts of arrays take minutes.
         np.printoptions(override_repr=lambda array: f"{array.dtype} {array.shape} {array.tobytes().hex()}"),
     ):
-        corrected = correct_by_arrival(rig, recording, options.cache)
-        rng = np.random.default_rng(0)
-        return repr(collect_captures(corrected.rig, corrected.recording, options, rng, progress, corrected.clocks))
+        rig, corrected, clocks, _ = correct_by_arrival(rig, recording, options.cache)
+        return repr(collect_captures(rig, corrected, options, np.random.default_rng(0), progress, clocks))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.board_pose import OUTLIER_SIGMAS, BoardPose, fit_pose, plane_covariance
+from calgraph.boards.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.boards.detections import BoardCorners, InconsistentTags
 from calgraph.boards.printed_boards import (
     Landmarks,
@@ -32,11 +32,6 @@ PlaneEstimator = Callable[[Marks, Array, CameraModel, float], tuple[Array, Array
 its covariance (3, 3)."""
 
 _log = logging.getLogger(__name__)
-
-
-# Minimum noise of a corner, pixels, in the test whether the board moved between images (by
-# OUTLIER_SIGMAS of it): 1 px of motion is accepted, as averaging halves its effect.
-MIN_MOTION_NOISE = 0.2
 
 
 class CameraDetector:
@@ -123,11 +118,10 @@ class CameraDetector:
         """The board by corners that another program detected, also in an image of its back."""
         printed = self._printed[0]
         found = [self._check_in_image(assign_corners(one, printed.board, printed.landmarks)) for one in messages]
-        tolerance = OUTLIER_SIGMAS * max(self._noise.pixel, MIN_MOTION_NOISE)
         found = [marks for marks in found if len(marks)]
         if not found:
             return Rejected("no corner of the board was detected")
-        marks = found[0] if len(found) == 1 else average_marks(found, tolerance)
+        marks = average_marks(found, self._noise)
         if isinstance(marks, Rejected):
             return marks
         corners = printed.landmarks.corners_of(marks.ids)
@@ -176,8 +170,7 @@ class CameraDetector:
         on_board = np.intersect1d(np.concatenate([marks.ids for marks in marks_by_image]), printed.landmarks.ids)
         if len(detected) == 1:
             return self._make_detection(printed, *detected[0], on_board)
-        noise = max(self._noise.pixel, MIN_MOTION_NOISE)
-        averaged = average_marks([marks for marks, _ in detected], OUTLIER_SIGMAS * noise)
+        averaged = average_marks([marks for marks, _ in detected], self._noise)
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)

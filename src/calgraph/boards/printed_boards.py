@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.board_pose import OUTLIER_SIGMAS
 from calgraph.boards.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.boards.tags import (
     Gray,
@@ -21,7 +22,7 @@ from calgraph.boards.tags import (
     make_tag_finder,
     recognize_dictionary,
 )
-from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
 from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
@@ -166,8 +167,16 @@ def select_grays(printed: Sequence[PrintedBoard], grays: Sequence[Gray]) -> Mapp
     return {one.finder: exchanged if one.board.inverted else grays for one in printed}
 
 
-def average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | Rejected:
-    """Every mark's mean over the images, unless the board moved by more than ``tolerance`` pixels."""
+# Minimum noise of a corner, pixels, in the test whether the board moved between images (by OUTLIER_SIGMAS of it):
+# 1 px of motion is accepted, as averaging halves its effect.
+_MIN_MOTION_NOISE = 0.2
+
+
+def average_marks(marks_by_image: Sequence[Marks], noise: PixelNoise) -> Marks | Rejected:
+    """Every mark's mean over the images, unless the board moved; those of one image as they are."""
+    if len(marks_by_image) == 1:
+        return marks_by_image[0]
+    tolerance = OUTLIER_SIGMAS * max(noise.pixel, _MIN_MOTION_NOISE)
     ids = np.unique(np.concatenate([marks.ids for marks in marks_by_image]))
     pixels = np.full((len(marks_by_image), len(ids), *marks_by_image[0].pixels.shape[1:]), np.nan)
     for row, marks in zip(pixels, marks_by_image, strict=True):

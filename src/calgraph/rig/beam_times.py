@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.config import Rig
@@ -64,14 +65,7 @@ def find_untimed_scanners(
 def compensate_with_beam_times(
     rig: Rig, captures: CaptureSet, untimed: Mapping[str, UntimedScanner], rng: np.random.Generator
 ) -> CaptureSet:
-    """The captures of a moving board as of :func:`compensate_motion`, with the times of beams that others show.
-
-    Args:
-        rig: of the captures.
-        captures: as measured.
-        untimed: scanners without times.
-        rng: for the samples of pairs.
-    """
+    """The captures of a moving board as of :func:`compensate_motion`, with the times of beams that others show."""
     settings = rig.settings.captures.moving_board
     moved = compensate_motion(captures, settings)
     turns = {name: _estimate_turn(rig, moved, name, scanner, rng) for name, scanner in untimed.items()}
@@ -126,13 +120,10 @@ def _estimate_turn(
     ]
     if not parts:
         return None
-    jacobian = np.zeros((sum(len(own) for own, _, _ in parts), 2, _UNKNOWNS * len(parts) + 1))
-    row = 0
-    for k, (own, _, _) in enumerate(parts):
-        rows = slice(row, row + len(own))
-        jacobian[rows, :, _UNKNOWNS * k : _UNKNOWNS * (k + 1)] = own[:, :, :_UNKNOWNS]
-        jacobian[rows, :, -1] = own[:, :, _UNKNOWNS]
-        row += len(own)
+    rows = [own.reshape(-1, _UNKNOWNS + 1) for own, _, _ in parts]
+    shared = np.concatenate([one[:, _UNKNOWNS] for one in rows])
+    own_and_shared = np.column_stack([block_diag(*(one[:, :_UNKNOWNS] for one in rows)), shared])
+    jacobian = own_and_shared.reshape(-1, 2, own_and_shared.shape[1])
     distances = np.concatenate([one for _, one, _ in parts])
     # Errors of the scanner in one capture are in all pairs.
     _, groups = np.unique(np.concatenate([one for _, _, one in parts]), return_inverse=True)

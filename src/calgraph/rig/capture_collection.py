@@ -53,14 +53,6 @@ def collect_captures(
 
     The intrinsics of cameras without any are estimated first, from the same holds. Where the board is out of the
     views while they rest, and stamps show sets of frames, the captures are these.
-
-    Args:
-        rig: the rig.
-        recording: whose stamps are corrected by arrivals.
-        options: how to calibrate.
-        rng: for what is drawn at random.
-        progress: called with the step and the fraction done.
-        clocks: what arrivals show of clocks.
     """
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
@@ -118,7 +110,7 @@ def _detect_in_timeline(
     intrinsics = estimate_unknown_intrinsics(
         resolved, recording, timeline, holds, options.engine, progress, options.cache
     )
-    cameras = resolved.camera_models() | intrinsics.cameras
+    cameras = resolved.camera_models() | {name: one.camera for name, one in intrinsics.estimates.items()}
     tags = options.select_method(rig.settings.published).tags
     method = DetectionMethod(cameras, draw_seeds(rig, rng), intrinsics.marks, tags, _select_plane_estimator(tags))
     usable = {name: spec for name, spec in rig.sensors.items() if name not in intrinsics.failed}

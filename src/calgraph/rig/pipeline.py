@@ -112,10 +112,10 @@ def build_problem(
     check_sensor_topics(rig, recording)
     rng = np.random.default_rng(options.seed)
     rig, recording = convert_images(rig, recording)
-    corrected = correct_by_arrival(rig, recording, options.cache)
-    recording = separate_snapshots(rig, corrected.recording)
-    rig, background = resolve_background(corrected.rig, recording, options.cache)
-    clocks, findings = corrected.clocks, (*corrected.findings, *background)
+    rig, recording, clocks, corrected = correct_by_arrival(rig, recording, options.cache)
+    recording = separate_snapshots(rig, recording)
+    rig, background = resolve_background(rig, recording, options.cache)
+    findings = (*corrected, *background)
 
     def build(recording: Recording, findings: Sequence[Finding]) -> Problem:
         captures = collect_captures(rig, recording, options, rng, progress, clocks)

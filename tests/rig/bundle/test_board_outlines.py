@@ -62,10 +62,6 @@ def test_the_bow_acts_on_boards_that_only_their_outlines_locate() -> None:
     assert np.linalg.norm(moved) < 0.0015
 
 
-def test_outlines_that_fit_cause_no_remark() -> None:
-    assert detect_rig(FINE).solve().remarks == ()
-
-
 def test_outlines_reduce_the_variance_of_every_axis() -> None:
     one = detect_rig(BLIND)
     blunt = one.map_detections(without_edges)

@@ -92,7 +92,7 @@ def test_rectangles_are_registered_independently(rng: np.random.Generator) -> No
     ([False, False, False], 0.0), ([True, False, False], 0.02), ([True, True, False], -0.015),
 ])  # fmt: skip
 def test_means_are_of_valid_values_truncated_at_the_limit(valid: list[bool], mean: float) -> None:
-    assert _limited_mean(np.array([0.02, -0.3, 7.0]), np.array(valid), 0.05) == pytest.approx(mean)
+    assert _limited_mean(np.array([0.02, -0.3, 7.0]), np.array(valid)) == pytest.approx(mean)
 
 
 @pytest.mark.parametrize(

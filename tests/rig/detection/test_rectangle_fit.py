@@ -8,7 +8,6 @@ from calgraph.geometry import Array
 from calgraph.rig.detection.rectangle_fit import (
     OUTLINE_BLUR,
     BoardRectangle,
-    SceneBeams,
     fit_rectangle,
     measure_solidity_and_isolation,
 )
@@ -71,7 +70,7 @@ def scene(*parts: tuple[Array, float]) -> Array:
 
 def shares(points: Array, frame: float = 0.15) -> tuple[float, float]:
     rectangle = fit(cells(grid(*SIZE)))
-    beams = SceneBeams(points, np.linalg.norm(points, axis=1))
+    beams = points, np.linalg.norm(points, axis=1)
     return measure_solidity_and_isolation(rectangle, beams, 0.03, frame, DetectionSettings())
 
 

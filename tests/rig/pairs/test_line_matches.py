@@ -193,9 +193,9 @@ def test_derivatives_of_the_regularized_coplanarity(rng: np.random.Generator) ->
     T, (a, b) = random_pose(rng), rng.normal(size=(2, 1, 4, 2, 3))
 
     def residuals(T: Array, d: Array) -> Array:
-        return np.asarray(_regularized_coplanarity(se3.retract(T, d)[None], a, b, 0.7, 0.01)[0][0])
+        return np.asarray(_regularized_coplanarity(se3.retract(T, d)[None], a, b, 0.7)[0][0])
 
-    r, J = _regularized_coplanarity(T[None], a, b, 0.7, 0.01)
+    r, J = _regularized_coplanarity(T[None], a, b, 0.7)
     assert r.shape == (1, 4 + 12)
     np.testing.assert_allclose(J[0], numerical(residuals, T, 6), atol=1e-6)
 

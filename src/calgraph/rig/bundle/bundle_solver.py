@@ -90,7 +90,12 @@ class Bundle:
 
     def without_outlines(self) -> "Bundle":
         """The bundle with observations of the boards' planes and prints only."""
-        return replace(self, outlines=(), outline_sensor=(), bias_variance=self.bias_variance[: len(self.views)])
+        sensors = len(self.views)
+        parameters = tuple(
+            replace(one, view_sets=tuple(k for k in one.view_sets if k < sensors)) for one in self.extra_parameters
+        )
+        kept = replace(self, extra_parameters=parameters, bias_variance=self.bias_variance[:sensors])
+        return replace(kept, outlines=(), outline_sensor=())
 
     def extra_indices(self, k: int) -> Index:
         """(e,) indices of the extra parameters of views k."""
@@ -427,9 +432,13 @@ def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array
 
 def body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
     """(6, 6) derivative of a sensor's pose by that of its body, which is the pose of its first sensor."""
-    first = int(np.flatnonzero(bundle.body == bundle.body[sensor])[0])
+    return displacement_jacobian(state, sensor, int(np.flatnonzero(bundle.body == bundle.body[sensor])[0]))
+
+
+def displacement_jacobian(state: BundleState, sensor: int, other: int) -> Array:
+    """(6, 6) derivative of the pose of one sensor by that of another one that it is fixed to."""
     J = np.eye(6)
-    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3] - state.T_root_sensor[first, :3, 3])
+    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3] - state.T_root_sensor[other, :3, 3])
     return J
 
 

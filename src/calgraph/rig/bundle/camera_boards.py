@@ -27,10 +27,6 @@ def locate_boards(rig: Rig, captured: CaptureSet) -> CaptureSet:
     """The captures with the boards' poses before cameras as the systematic errors of lens and print imply them.
 
     The errors have the priors of rig.yaml. Pixels and covariances stay as they are.
-
-    Args:
-        rig: the rig.
-        captured: all detections.
     """
     detections = {
         name: _locate(rig, captured, name) if name in captured.cameras else found
@@ -77,10 +73,7 @@ def _move(detection: Detection, T_camera_board: np.ndarray) -> Detection:
 def align_symmetric_prints(rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array]) -> CaptureSet:
     """The captures with corners of symmetric prints as the first camera numbers them that detected the board.
 
-    Args:
-        rig: the rig.
-        captured: all detections.
-        T_root_sensor: approximate poses (4, 4) of the connected sensors.
+    Poses (4, 4) of the connected sensors may be approximate.
     """
     turns = [symmetry_turns(board.pattern) for board in rig.boards]
     if not any(turns):

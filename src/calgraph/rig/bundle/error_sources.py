@@ -65,12 +65,7 @@ def group_parameters(bundle: Bundle) -> dict[ErrorSource, Index]:
 
 
 def split_covariance(bundle: Bundle, minimized: MinimizedBundle) -> dict[ErrorSource, Array]:
-    """The covariance of all poses, in the root's fixed axes, by source: (S·6, S·6) each.
-
-    Args:
-        bundle: the observations.
-        minimized: its solution.
-    """
+    """The covariance of all poses, in the root's fixed axes, by source: (S·6, S·6) each."""
     state, equations = minimized.state, minimized.equations
     by_gradient = equations.covariance @ pose_jacobian(bundle, state).T
     boards = equations.eliminate_boards()[2][..., :-1] @ by_gradient

@@ -116,7 +116,6 @@ def check_problem(problem: Problem) -> None:
         for name, by_capture in captures.detections.items():
             if hold.index not in by_capture and (hold.index, name) not in captures.rejections:
                 raise InputError(f"misses: must state why {name} has no detection in capture {hold.index}")
-    _check_corners(captures, len(problem.rig.boards))
     for estimate in select_successful(problem.pairs):
         _check_matches(estimate, captures.detections)
     _check_numbers(problem)
@@ -126,16 +125,6 @@ def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> Non
     unknown = set(names) - set(allowed)
     if unknown:
         raise InputError(f"{what}: must be among {', '.join(allowed)}, got {', '.join(sorted(unknown))}")
-
-
-def _check_corners(captures: CaptureSet, board_count: int) -> None:
-    """Raises InputError for corners of a board that the rig lacks, or that have no extent in the image."""
-    for place, found in _list_detections(captures):
-        if isinstance(found, BoardCorners):
-            wrong = f"corners/board: {place} must be below the {board_count} boards, got {found.board}"
-            _refuse(wrong, not 0 <= found.board < board_count)
-            differ = np.isfinite(found.pixels).all() and np.ptp(found.pixels, axis=0).any()
-            _refuse(f"corners/pixels: {place} must be finite and differ from each other", not differ)
 
 
 def _check_matches(estimate: PairwiseEstimate, detections: Mapping[str, Candidates]) -> None:
@@ -170,7 +159,14 @@ def _check_numbers(problem: Problem) -> None:
         _refuse(f"holds and stamps: of capture {hold.index} must be times in s", not np.isfinite(times).all())
     for name, camera in captures.cameras.items():
         _check_camera(name, camera)
+    board_count = len(problem.rig.boards)
     for place, found in _list_detections(captures):
+        if isinstance(found, BoardCorners):
+            wrong = f"corners/board: {place} must be below the {board_count} boards, got {found.board}"
+            _refuse(wrong, not 0 <= found.board < board_count)
+            # Corners without extent in the image determine no pose.
+            differ = np.isfinite(found.pixels).all() and np.ptp(found.pixels, axis=0).any()
+            _refuse(f"corners/pixels: {place} must be finite and differ from each other", not differ)
         for field, value in vars(found).items():
             if field in _FIELDS:
                 where, values = f"{DETECTIONS[type(found)].name}/{field}: {place}", np.asarray(value)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from calgraph.geometry import Array, Index, diagonal_blocks
 from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.board_observations import BoardObservation, Node
@@ -37,6 +39,11 @@ class SolvedBundle:
     boards: Sequence[BoardObservation] = ()
     """All unambiguous detections, outlier views included; in order of captures."""
 
+    @property
+    def order(self) -> Index:
+        """(C,) the place of each board's capture among them in time, from 0."""
+        return np.unique(self.captures, return_inverse=True)[1]
+
 
 @dataclass(frozen=True, eq=False)
 class RigSolution:
@@ -51,8 +58,6 @@ class RigSolution:
     residuals: Mapping[str, Array]
     """Whitened residuals by sensor, or by kind of edge."""
     converged: bool
-    remarks: tuple[str, ...] = ()
-    """Observations that were not used, with the reason."""
     used: frozenset[Node] | None = None
     """The detections that were used; None for an estimator that uses the inliers of pairs."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)

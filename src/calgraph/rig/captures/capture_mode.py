@@ -15,23 +15,13 @@ from calgraph.rig.captures.rests import find_noise, find_rests
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes, build_timeline
 from calgraph.rig.kinds import MOTION_SIGNATURES
 
+StampGroup = Mapping[str, Array]
+"""Messages of sensors that were measured of one pose of the board: by sensor, its stamps in ascending order, s."""
 
-@dataclass(frozen=True, eq=False)
-class StampGroup:
-    """Messages of at least two sensors that were measured of one pose of the board."""
 
-    stamps: Mapping[str, Array]
-    """By sensor, its stamps in ascending order, s; no entry for a sensor without message in the group."""
-
-    @property
-    def start(self) -> float:
-        """First stamp, s."""
-        return min(float(stamps[0]) for stamps in self.stamps.values())
-
-    @property
-    def end(self) -> float:
-        """Last stamp, s."""
-        return max(float(stamps[-1]) for stamps in self.stamps.values())
+def find_span(group: StampGroup) -> tuple[float, float]:
+    """First and last stamp, s."""
+    return min(float(stamps[0]) for stamps in group.values()), max(float(stamps[-1]) for stamps in group.values())
 
 
 def group_bursts(bursts: Mapping[str, Sequence[Array]], max_gap: float, max_spread: float) -> list[StampGroup]:
@@ -70,12 +60,12 @@ def group_bursts(bursts: Mapping[str, Sequence[Array]], max_gap: float, max_spre
                 break
             gaps, first = gaps + gap, first - 1
         best.append(min(options))
-    groups_found = []
+    groups_found: list[StampGroup] = []
     k = len(events)
     while k:
         first = best[k][2]
         if k - first > 1:
-            groups_found.append(StampGroup({name: burst for _, _, name, burst in events[first:k]}))
+            groups_found.append({name: burst for _, _, name, burst in events[first:k]})
         k = first
     return groups_found[::-1]
 
@@ -107,11 +97,6 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
     A timeline without activity (built without meters) shows whether the recording consists of snapshots, but not
     whether the board ever rests: the mode is then ``rest``, and ``spread`` is stated where the stamps show sets of
     frames.
-
-    Args:
-        timeline: when the sensors measured, and how much their views changed.
-        capture: what rig.yaml states.
-        settings: of the search for captures.
     """
     if capture.mode:
         return RecognizedMode(capture.mode, f"rig.yaml states capture.mode: {capture.mode}")
@@ -125,7 +110,7 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
     frames = find_frame_sets(timeline, capture)
     spread = None
     if _are_synchronized(frames, timeline, settings):
-        spread = float(np.median([one.end - one.start for one in frames])) if frames else 0.0
+        spread = float(np.median([last - first for first, last in map(find_span, frames)]))
     if not any(np.nan_to_num(times.activity).any() for times in timeline.sensors.values()):
         reason = "the sensors measure continuously; how much their views change was not measured"
         return RecognizedMode("rest", reason, spread)
@@ -197,7 +182,7 @@ def find_snapshots(timeline: RecordingTimeline, capture: Capture, settings: Capt
         return group_bursts(bursts, capture.max_spread, capture.max_spread)
     count = sum(len(one) for one in bursts.values())
     gap, groups = settings.max_snapshot_gap, group_bursts(bursts, settings.max_snapshot_gap, np.inf)
-    while 2 * sum(len(group.stamps) for group in groups) < count and 2 * gap <= settings.max_snapshot_spread:
+    while 2 * sum(map(len, groups)) < count and 2 * gap <= settings.max_snapshot_spread:
         gap *= 2
         groups = group_bursts(bursts, gap, np.inf)
     return groups
@@ -210,7 +195,7 @@ def _select_between(timeline: RecordingTimeline, start: float, end: float) -> St
         for name, times in timeline.sensors.items()
     }
     some = {name: stamps for name, stamps in within.items() if len(stamps)}
-    return StampGroup(some) if len(some) > 1 else None
+    return some if len(some) > 1 else None
 
 
 def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, settings: CaptureSettings) -> bool:

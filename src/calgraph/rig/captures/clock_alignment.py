@@ -18,19 +18,6 @@ from calgraph.solver.lagged_correlation import correlate_at_lags
 
 
 @dataclass(frozen=True)
-class CorrectedStamps:
-    """A rig and its recording, whose stamps are by one clock as far as arrivals and rig.yaml determine them."""
-
-    rig: Rig
-    """With the uncertainty of what was corrected."""
-    recording: Recording
-    findings: tuple[Finding, ...]
-    """What was corrected."""
-    clocks: Clocks
-    """What arrivals show."""
-
-
-@dataclass(frozen=True)
 class ClockOffset:
     """The clock of a sensor relative to that of others."""
 
@@ -40,16 +27,17 @@ class ClockOffset:
     """Of the changes of both views with this offset, at most 1."""
 
 
-def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE) -> CorrectedStamps:
+def correct_by_arrival(
+    rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE
+) -> tuple[Rig, Recording, Clocks, list[Finding]]:
     """Corrects the stamps by what rig.yaml states of clocks, and by when messages arrived.
 
     The offsets that rig.yaml states are relative to the root's clock, which arrivals may correct itself. A trigger
     whose arrivals show nothing has the clock of the sensors with which it has some time in common.
 
-    Args:
-        rig: the rig.
-        recording: open recording with the rig's topics.
-        cache: has what earlier runs read.
+    Returns:
+        The rig with the uncertainty of what was corrected, the recording with stamps by one clock as far as
+        arrivals and rig.yaml determine them, what arrivals show of clocks, and what was corrected.
     """
     names = {topic: name for name, topic in rig.topics.items()}
     triggers = [rig.capture.trigger] if rig.capture.trigger else []
@@ -70,13 +58,8 @@ def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = N
     for trigger in triggers:
         if trigger not in moved and (shared := clocks.shares_time(trigger, stated)):
             offsets[trigger] = stated[shared]
-    clocks = clocks.after_correction(offsets, moved)
-    return CorrectedStamps(
-        _widen_delays(rig, {names[topic]: one.stddev for topic, one in moved.items() if topic in names}),
-        correct_stamps(recording, offsets),
-        tuple(findings),
-        clocks,
-    )
+    rig = _widen_delays(rig, {names[topic]: one.stddev for topic, one in moved.items() if topic in names})
+    return rig, correct_stamps(recording, offsets), clocks.after_correction(offsets, moved), findings
 
 
 def _widen_delays(rig: Rig, stddev: Mapping[str, float]) -> Rig:
@@ -274,19 +257,10 @@ def find_late_views(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Comparison:
-    """The correlation of the changes of two views."""
-
-    offsets: Array
-    """(N,) of the second clock from the first one, s, ascending."""
-    correlation: Array
-    """(N,) with each offset."""
-    count: float
-    """Number of independent samples."""
-
-
-Pairs = Mapping[tuple[str, str], _Comparison]
+Comparison = tuple[Array, Array, float]
+"""Offsets (N,) of one clock from another, s, ascending, the correlation (N,) of the changes of both views with
+each of them, and the number of independent samples."""
+Pairs = Mapping[tuple[str, str], Comparison]
 
 
 def _compare_all(timeline: RecordingTimeline) -> Pairs:
@@ -296,15 +270,15 @@ def _compare_all(timeline: RecordingTimeline) -> Pairs:
     return {pair: one for pair, one in compared.items() if one is not None}
 
 
-def _select_pairs(name: str, pairs: Pairs, known: Mapping[str, float]) -> Iterator[tuple[Array, Array, float]]:
-    """Of a sensor and every known one: offsets of its clock, ascending, their correlation, and the samples."""
-    for (a, b), one in pairs.items():
-        if len(one.offsets) < 2:
+def _select_pairs(name: str, pairs: Pairs, known: Mapping[str, float]) -> Iterator[Comparison]:
+    """The comparisons of a sensor with every known one, with offsets of its clock from that which counts."""
+    for (a, b), (offsets, correlation, count) in pairs.items():
+        if len(offsets) < 2:
             continue
         if name == b and a in known:
-            yield one.offsets + known[a], one.correlation, one.count
+            yield offsets + known[a], correlation, count
         elif name == a and b in known:
-            yield known[b] - one.offsets[::-1], one.correlation[::-1], one.count
+            yield known[b] - offsets[::-1], correlation[::-1], count
 
 
 def _weigh(name: str, pairs: Pairs, known: Mapping[str, float], offsets: Array) -> tuple[Array, Array]:
@@ -384,7 +358,7 @@ _MIN_OVERLAP = 0.5
 _RESOLUTION = 0.02
 
 
-def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison | None:
+def _correlate_views(reference: SensorTimes, other: SensorTimes) -> Comparison | None:
     """How similarly two views change with each offset of the other's clock; None if that cannot be known."""
     pair = reference, other = reference.with_content(), other.with_content()
     if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) < _MIN_SPAN for times in pair):
@@ -399,7 +373,7 @@ def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison 
         return None
     lags, correlation = correlate_at_lags(first, second, _MIN_OVERLAP)
     offsets = _center(other) - _center(reference) - step * lags.astype(np.float64)
-    return _Comparison(offsets[::-1], correlation[::-1], _count_independent(first, second))
+    return offsets[::-1], correlation[::-1], _count_independent(first, second)
 
 
 def _count_changes(activity: Array, step: float) -> int:

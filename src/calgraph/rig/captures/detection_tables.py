@@ -45,23 +45,21 @@ _OPTIONAL = (_MOTIONS, "twist"), (_MOTION_VARIANCES, "motion_variance"), (_BEAM_
 def pack_detections(detections: Mapping[str, Mapping[int, Sequence[Detection]]]) -> dict[str, NDArray[Any]]:
     """The columns of detections, given by sensor and capture."""
     number = {name: i for i, name in enumerate(detections)}
+    placed = [
+        ({"sensor": number[name], "capture": capture, "candidate": k}, detection)
+        for name, by_capture in detections.items()
+        for capture, found in by_capture.items()
+        for k, detection in enumerate(found)
+    ]
     arrays: dict[str, NDArray[Any]] = {}
     for kind, table in DETECTIONS.items():
-        arrays |= table.pack([
-            {"sensor": number[name], "capture": capture, "candidate": k, **vars(detection),
-             "points": getattr(detection, "points", None)}
-            for name, by_capture in detections.items()
-            for capture, found in by_capture.items()
-            for k, detection in enumerate(found) if isinstance(detection, kind)
-        ])  # fmt: skip
+        of_kind = [(place, one) for place, one in placed if isinstance(one, kind)]
+        arrays |= table.pack(
+            [{**place, **vars(one), "points": getattr(one, "points", None)} for place, one in of_kind]
+        )
     for table, field in _OPTIONAL:
-        rows = [
-            {"sensor": number[name], "capture": capture, "candidate": k, field: value}
-            for name, by_capture in detections.items()
-            for capture, found in by_capture.items()
-            for k, detection in enumerate(found)
-            if np.any(value := getattr(detection, field, np.zeros(0)))
-        ]
+        values = [(place, getattr(one, field, np.zeros(0))) for place, one in placed]
+        rows = [{**place, field: value} for place, value in values if np.any(value)]
         arrays |= table.pack(rows) if rows else {}
     return arrays
 

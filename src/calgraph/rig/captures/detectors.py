@@ -20,11 +20,7 @@ from calgraph.sensors.kinds import KINDS, RangeNoise
 
 
 def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[str, Background | Rejected]:
-    """Learns what the scanners measure without target and operator.
-
-    Args:
-        records: the scanners' records in the background window.
-        rig: the rig.
+    """Learns what the scanners measure in the background window, without target and operator.
 
     Returns:
         By scanner, or why there is none: it measured nothing in the window. Empty without a window.

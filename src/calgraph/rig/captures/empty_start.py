@@ -202,15 +202,14 @@ class _Reference:
 
     def count_nearer(self, message: Message) -> int:
         """Number of directions in which a message has something in front of everything around them."""
-        nearest = self._find_nearest(message)
-        reference = self._find_range_around()[0] - self._margin(nearest)
-        return int(np.sum(np.isfinite(nearest) & (nearest < reference)))
+        nearest, margin = self._find_nearest(message)
+        return int(np.sum(np.isfinite(nearest) & (nearest < self._find_range_around()[0] - margin)))
 
     def count_beyond(self, message: Message) -> int:
         """Number of directions in which a message measures only what is behind everything around them."""
-        nearest = self._find_nearest(message)
-        reference = self._find_range_around()[1] + self._margin(nearest)
-        return int(np.sum(np.isfinite(nearest) & np.isfinite(self._farthest) & (nearest > reference)))
+        nearest, margin = self._find_nearest(message)
+        known = np.isfinite(nearest) & np.isfinite(self._farthest)
+        return int(np.sum(known & (nearest > self._find_range_around()[1] + margin)))
 
     def _find_range_around(self) -> tuple[Array, Array]:
         """Nearest and farthest range in each direction and those next to it."""
@@ -218,15 +217,12 @@ class _Reference:
             self._around = -find_local_maxima(-self._nearest), find_local_maxima(self._farthest)
         return self._around
 
-    def _margin(self, ranges: Array) -> Array:
-        finite = np.where(np.isfinite(ranges), ranges, 0.0)
-        return np.asarray(np.maximum(_MIN_RANGE_CHANGE, _MIN_RANGE_CHANGE_RATIO * finite))
-
-    def _find_nearest(self, message: Message) -> Array:
-        """Nearest range by direction; infinite without returns."""
+    def _find_nearest(self, message: Message) -> tuple[Array, Array]:
+        """Nearest range by direction, infinite without returns; and by how much another one differs at least."""
         nearest = np.full(self._shape, np.inf)
         np.minimum.at(nearest, *self._measure(message))
-        return nearest
+        finite = np.where(np.isfinite(nearest), nearest, 0.0)
+        return nearest, np.maximum(_MIN_RANGE_CHANGE, _MIN_RANGE_CHANGE_RATIO * finite)
 
     def _measure(self, message: Message) -> tuple[Cells, Array]:
         """Direction and range of each return."""
@@ -237,8 +233,7 @@ class _Reference:
 def _list_points(message: Message) -> Array:
     """(N, 3) finite points, scanner frame, m."""
     if isinstance(message, LaserScan):
-        angles, ranges = message.angles[message.valid], message.ranges[message.valid]
-        return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))])
+        return np.asarray(message.points[message.valid])
     if isinstance(message, PointCloud):
         finite = np.isfinite(message.points)
         return message.points if finite.all() else np.asarray(message.points[finite.all(axis=1)])

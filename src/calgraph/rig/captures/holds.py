@@ -12,7 +12,13 @@ from calgraph.config import Capture, Rig
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.rig.captures.capture_mode import StampGroup, find_frame_sets, find_snapshots, recognize_mode
+from calgraph.rig.captures.capture_mode import (
+    StampGroup,
+    find_frame_sets,
+    find_snapshots,
+    find_span,
+    recognize_mode,
+)
 from calgraph.rig.captures.rests import find_noise, find_rests
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
 from calgraph.rig.kinds import RIG_KINDS
@@ -50,7 +56,7 @@ def find_holds(timeline: RecordingTimeline, capture: Capture, settings: CaptureS
     if mode == "synchronized":
         sets = find_frame_sets(timeline, capture)
         begin = timeline.start
-        frames = [group for group in sets if capture.allows(group.start - begin, group.end - begin)]
+        frames = [group for group in sets if capture.allows(*(stamp - begin for stamp in find_span(group)))]
         if sets and not frames:
             raise CalibrationError(
                 f"all {len(sets)} sets of frames lie in capture.background or capture.exclude; make these "
@@ -92,7 +98,7 @@ def _select_messages(
 def _hold_groups(groups: list[StampGroup], timeline: RecordingTimeline, *, auxiliary: bool = False) -> list[Hold]:
     """One hold a group, with all of its messages."""
     nothing = dict.fromkeys(timeline.sensors, np.zeros(0))
-    return [Hold(0, one.start, one.end, {**nothing, **one.stamps}, auxiliary=auxiliary) for one in groups]
+    return [Hold(0, *find_span(one), {**nothing, **one}, auxiliary=auxiliary) for one in groups]
 
 
 def _explain_no_holds(timeline: RecordingTimeline, capture: Capture, mode: str) -> str:
@@ -195,7 +201,7 @@ def select_frame_sets(groups: Sequence[StampGroup], timeline: RecordingTimeline,
         return list(groups)
     change = np.mean([_relative_activity(times, name, groups) for name, times in timeline.sensors.items()], axis=0)
     parts = np.array_split(np.arange(len(groups)), limit)
-    return [groups[min(part, key=lambda i: (-len(groups[i].stamps), change[i]))] for part in parts]
+    return [groups[min(part, key=lambda i: (-len(groups[i]), change[i]))] for part in parts]
 
 
 def find_neighbours(groups: Sequence[StampGroup], timeline: RecordingTimeline) -> list[StampGroup]:
@@ -203,19 +209,19 @@ def find_neighbours(groups: Sequence[StampGroup], timeline: RecordingTimeline) -
 
     They show the velocity of the board.
     """
-    used = {(name, float(stamps[0])) for group in groups for name, stamps in group.stamps.items()}
+    used = {(name, float(stamps[0])) for group in groups for name, stamps in group.items()}
     all_stamps = {name: np.unique(times.stamps) for name, times in timeline.sensors.items()}
-    found = []
+    found: list[StampGroup] = []
     for group in groups:
         for step in (-1, 1):
-            stamps = {}
-            for name, (stamp, *_) in group.stamps.items():
+            stamps: dict[str, Array] = {}
+            for name, (stamp, *_) in group.items():
                 i = int(np.searchsorted(all_stamps[name], stamp)) + step
                 if 0 <= i < len(all_stamps[name]) and (name, float(all_stamps[name][i])) not in used:
                     used.add((name, float(all_stamps[name][i])))
                     stamps[name] = all_stamps[name][i : i + 1]
             if stamps:
-                found.append(StampGroup(stamps))
+                found.append(stamps)
     return found
 
 
@@ -226,7 +232,7 @@ def _relative_activity(times: SensorTimes, name: str, groups: Sequence[StampGrou
     if typical == 0.0:
         return np.zeros(len(groups))
     by_stamp = dict(zip(times.stamps.tolist(), activity.tolist(), strict=True))
-    return np.array([by_stamp[float(g.stamps[name][0])] / typical if name in g.stamps else 0.0 for g in groups])
+    return np.array([by_stamp[float(g[name][0])] / typical if name in g else 0.0 for g in groups])
 
 
 def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:

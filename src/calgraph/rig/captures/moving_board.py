@@ -16,9 +16,11 @@ from calgraph.sensors import CameraModel
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """One sensor's detections of one capture, and when it measured them."""
+    """One sensor's detections of one capture."""
 
+    capture: int
     stamp: float
+    """When it measured them, s."""
     detections: tuple[Detection, ...]
     """As at the time of the stamp."""
     original: tuple[Detection, ...]
@@ -66,26 +68,23 @@ def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> Ca
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in captures.detections}
     chosen = {hold.index for hold in captures.holds if not hold.auxiliary}
     rejections = {key: why for key, why in captures.rejections.items() if key[0] in chosen}
+    by_capture: dict[int, dict[str, _Measured]] = {}
+    for name, of_sensor in history.items():
+        for measured in of_sensor:
+            by_capture.setdefault(measured.capture, {})[name] = measured
     for hold in captures.holds:
-        measured = {
-            name: (measured_at(hold.stamps[name], found[hold.index]), found[hold.index])
-            for name, found in captures.detections.items()
-            if hold.index in found and len(hold.stamps.get(name, ()))
-        }
-        if hold.auxiliary or not measured:
-            continue
-        reference = float(np.mean([stamp for stamp, _ in measured.values()]))
-        for name, (stamp, found) in measured.items():
-            at_stamp = next(one.detections for one in history[name] if one.original is found)
-            neighbours = _neighbours(history[name], stamp)
+        of_hold = {} if hold.auxiliary else by_capture.get(hold.index, {})
+        reference = np.mean([one.stamp for one in of_hold.values()]) if of_hold else 0.0
+        for name, measured in of_hold.items():
+            stamp, neighbours = measured.stamp, _neighbours(history[name], measured.stamp)
             detections[name][hold.index] = tuple(
                 move_detection(
                     one,
                     estimate_motion(known, stamp, neighbours, usual, settings),
-                    reference - stamp,
+                    float(reference) - stamp,
                     captures.cameras.get(name),
                 )
-                for one, known in zip(found, at_stamp, strict=True)
+                for one, known in zip(measured.original, measured.detections, strict=True)
             )
     holds = tuple(hold for hold in captures.holds if not hold.auxiliary)
     return replace(captures, holds=holds, detections=detections, rejections=rejections)
@@ -268,9 +267,9 @@ def _order_by_time(captures: CaptureSet) -> Mapping[str, Sequence[_Measured]]:
     history = {}
     for name, found in captures.detections.items():
         measured = [
-            _Measured(measured_at(hold.stamps[name], found[hold.index]), found[hold.index], found[hold.index])
+            _Measured(hold.index, measured_at(hold.stamps[name], one), one, one)
             for hold in captures.holds
-            if hold.index in found and len(hold.stamps.get(name, ()))
+            if len(one := found.get(hold.index, ())) and len(hold.stamps.get(name, ()))
         ]
         history[name] = sorted(measured, key=lambda one: one.stamp)
     return history

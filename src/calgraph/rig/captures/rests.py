@@ -91,10 +91,6 @@ class _Votes:
 def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
     """Where the board rests for as long as the slowest sensor needs for one full measurement.
 
-    Args:
-        timeline: with the activity of the sensors.
-        settings: of the search.
-
     Returns:
         Start and end of each rest, s, in order of time.
     """

@@ -18,12 +18,7 @@ _KIND_OF_MESSAGE = {message.__name__: kind.name for kind in reversed(KINDS.value
 
 
 def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
-    """Checks the messages of a recording against its rig.
-
-    Args:
-        rig: the rig.
-        timeline: of its sensors and triggers.
-        end: end of the recording, s.
+    """Checks the messages of a recording, which ends at ``end``, s, against its rig.
 
     Raises:
         InputError: no sensor has a message, a sensor's messages are of another kind, their stamps stand still or
@@ -36,8 +31,18 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
             f"the recording holds no message of any sensor ({topics}): were the drivers running while it was "
             "recorded? `calgraph inspect` lists what it contains"
         )
-    _check_windows(rig, end - timeline.start)
-    _check_trigger(rig)
+    window, length = rig.capture.background, end - timeline.start
+    if window and window[0] >= length:
+        raise InputError(
+            f"capture.background: [{window[0]:g}, {window[1]:g}] s lies after the end of the recording, which is "
+            f"{length:.1f} s long"
+        )
+    for name, spec in rig.sensors.items():
+        if spec.topic == rig.capture.trigger:
+            raise InputError(
+                f"capture.trigger: {spec.topic} is the topic of the sensor {name}, not one that marks captures; "
+                "leave the trigger out to find the holds from the data"
+            )
     for name in rig.sensors:
         _check_messages(name, rig, timeline)
         _check_stamps(name, timeline, rig.settings.captures.max_snapshot_gap)
@@ -46,11 +51,6 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
 
 def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[TopicInfo]) -> None:
     """Checks that files which are numbered by poses belong to poses of other sensors.
-
-    Args:
-        rig: the rig.
-        timeline: of its sensors.
-        topics: of the recording.
 
     Raises:
         InputError: no file of a sensor has the number of another one's.
@@ -75,15 +75,6 @@ def _list_messages(kind: str) -> tuple[str, ...]:
     return tuple(message.__name__ for message in KINDS[kind].messages)
 
 
-def _check_trigger(rig: Rig) -> None:
-    for name, spec in rig.sensors.items():
-        if spec.topic == rig.capture.trigger:
-            raise InputError(
-                f"capture.trigger: {spec.topic} is the topic of the sensor {name}, not one that marks captures; "
-                "leave the trigger out to find the holds from the data"
-            )
-
-
 def _check_trigger_stamps(rig: Rig, timeline: RecordingTimeline) -> None:
     stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
     triggers = timeline.triggers
@@ -93,15 +84,6 @@ def _check_trigger_stamps(rig: Rig, timeline: RecordingTimeline) -> None:
             f"{triggers[-1]:.3f} s, those of the sensors from {stamps.min():.3f} to {stamps.max():.3f} s: "
             "their clocks differ, and arrivals do not show by how much; leave the trigger out to find the holds "
             "from the data"
-        )
-
-
-def _check_windows(rig: Rig, length: float) -> None:
-    window = rig.capture.background
-    if window and window[0] >= length:
-        raise InputError(
-            f"capture.background: [{window[0]:g}, {window[1]:g}] s lies after the end of the recording, which is "
-            f"{length:.1f} s long"
         )
 
 

@@ -293,7 +293,7 @@ def assemble_rig(
                 for name in rig.sensors
             ),
             unconnected=_explain_unconnected(rig, captures, pairs, connected),
-            remarks=(*(finding.text for finding in findings), *solution.remarks),
+            remarks=tuple(finding.text for finding in findings),
             residuals=solution.residuals,
             fit=measure_fit(solution),
             cross_validation=held_out,
@@ -347,17 +347,13 @@ def _split_budget(
 
 
 def _collect_prior_errors(solution: RigSolution, names: Sequence[str]) -> PriorErrors | None:
-    """Errors of the poses by those of the stated values; zero for sensors that no view of the bundle is of."""
+    """Errors of the poses by those of the stated values."""
     if solution.solved_bundle is None:
         return None
     bundle, minimized = solution.solved_bundle.bundle, solution.solved_bundle.minimized
     derivatives = prior_error_derivatives(bundle, minimized.state, minimized.equations)
-    of_sensor = dict(zip(bundle.sensors, derivatives.reshape(len(bundle.sensors), 6, -1), strict=True))
-    missing = np.zeros((6, derivatives.shape[1]))
-    return PriorErrors(
-        tuple((one.of, one.quantity) for one in bundle.extra_parameters),
-        np.concatenate([of_sensor.get(name, missing) for name in names]),
-    )
+    parameters = tuple((one.of, one.quantity) for one in bundle.extra_parameters)
+    return PriorErrors(parameters, derivatives[_rows_of(solution, names)])
 
 
 def _assemble_edge(

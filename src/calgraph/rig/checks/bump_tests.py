@@ -26,10 +26,6 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[PoseStep, ...]:
 
     Source: Andrews, "Tests for parameter instability and structural change with unknown change point", 1993; for
     the probability that any step is reported, Bonferroni's bound over sensors and times.
-
-    Args:
-        problem: with all detections.
-        solution: its joint solution.
     """
     if solution.solved_bundle is None:
         return ()
@@ -44,7 +40,7 @@ def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, 
     Variances are those of the solved bundle.
     """
     boards, state = solved.boards, solved.minimized.state
-    without_outlines = without_priors(_remove_outlines(solved.bundle))
+    without_outlines = without_priors(solved.bundle.without_outlines())
     if sum(len(board.detection_index) for board in boards) == sum(len(v.board) for v in solved.bundle.views):
         bundle, captures = without_outlines, solved.captures
         cache = solved.minimized.equations.cache[: len(bundle.views)]
@@ -54,15 +50,6 @@ def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, 
         captures, cache = np.array([board.capture for board in boards]), ()
     solution = minimize_bundle(bundle, state, cache, tolerance=COARSE_TOLERANCE, exact=False)
     return bundle, solution, captures
-
-
-def _remove_outlines(bundle: Bundle) -> Bundle:
-    """The bundle without outlines and their parameters."""
-    sensors = len(bundle.views)
-    kept = tuple(
-        replace(one, view_sets=tuple(k for k in one.view_sets if k < sensors)) for one in bundle.extra_parameters
-    )
-    return replace(bundle.without_outlines(), extra_parameters=kept)
 
 
 _EARLIER_CAPTURE = "before the sensor moved"

@@ -40,15 +40,7 @@ def find_contradictions(
     held_out: Mapping[str, HeldOutError],
     drifts: DriftStatistics | None = None,
 ) -> tuple[Finding, ...]:
-    """The findings of all tests of a joint solution; none where it is not a bundle.
-
-    Args:
-        solution: of the connected sensors.
-        rig: the rig, with the settings of the tests.
-        captures: all detections.
-        held_out: errors of the cross-validation by sensor.
-        drifts: their statistics, if they have been measured.
-    """
+    """The findings of all tests of a joint solution; none where it is not a bundle."""
     if (solved := solution.solved_bundle) is None:
         return ()
     settings, kinds = rig.settings.diagnostics, {name: spec.kind for name, spec in rig.sensors.items()}
@@ -183,10 +175,6 @@ def find_lost_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[F
 
     A capture is shared if another connected sensor detected the board as well. It is lost if the detection was an
     outlier of all pairs or of the joint solution, or those of all others were.
-
-    Args:
-        captures: all detections.
-        solved: the joint solution.
     """
     bundle = solved.bundle
     lost = dict(zip(bundle.sensors, _find_lost_of_shared(captures, solved), strict=True))
@@ -275,8 +263,7 @@ def find_changes(
     """
     bundle, minimized = solved.bundle, solved.minimized
     confidence = 1 - settings.verdict.false_alarm_probability
-    order = np.unique(solved.captures, return_inverse=True)[1]
-    count = int(order.max(initial=-1)) + 1
+    order, count = solved.order, len(np.unique(solved.captures))
     axes = pose_jacobian(bundle, minimized.state)
     named: set[str] = set()
     for drift in find_drifts(drifts):
@@ -337,10 +324,6 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
 
     Rings of a scanner, and tags of a board, are tested by their largest deviation, at a limit that the largest of
     as many normal numbers exceeds as rarely; the distortion coefficients of a camera by their joint effect.
-
-    Args:
-        solved: the solution.
-        rig: with the uncertainty of cameras' distortion.
     """
     bundle, minimized = solved.bundle, solved.minimized
     first = 6 * bundle.body_count

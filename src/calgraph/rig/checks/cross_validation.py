@@ -36,7 +36,7 @@ from calgraph.rig.bundle.bundle_solver import (
 )
 from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.normal_equations import accumulate
-from calgraph.rig.bundle.observations import BoardViews, velocity_along_sensor
+from calgraph.rig.bundle.observations import velocity_along_sensor
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.solver.squared_distances import compute_squared_distances
@@ -92,7 +92,7 @@ def cross_validate(
         raise InputError(f"`folds`: must be 0 for none, or 2 and more, got {folds}")
     bundle = solved.bundle
     units = {name: views.unit for name, views in zip(bundle.sensors, bundle.views, strict=True)}
-    fold_of = np.unique(solved.captures, return_inverse=True)[1] % folds
+    fold_of = solved.order % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     given = Kept.of(solved)
     work = [(given, fold_of == fold) for fold in np.unique(fold_of)]
@@ -200,7 +200,11 @@ def _compare_with_prediction(
     T_predicted = se3.retract(T_board, x[:, :6] / meters[:6])
     T_own = se3.retract(T_board, -matvec(inverse @ inverse, b)[:, :6] / meters[:6])
     tilted = tested & _observes_tilt(A, T_board, bundle.lever, _COMPARED_TILT_STDDEV)
-    error, along = _error_sizes(views.select(tested), T_predicted[tested], extra)
+    compared, T_compared = views.select(tested), T_predicted[tested]
+    norm = np.linalg.norm(compared.linearize(T_compared, extra).residual, axis=1)
+    error, along = compared.unwhiten(norm[:, None])[:, 0], np.zeros(0)
+    if isinstance(compared, RangeObservations):
+        error, along = error * compared.incidence(T_compared), error
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
     tilt = np.arccos(np.clip(cosine, -1, 1))
     return _PredictionErrors(views.board[tested], error, along, tilt, squared[tested], dof[tested])
@@ -275,15 +279,6 @@ def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: fl
     regularized = A + np.eye(A.shape[-1]) / lever**2
     covariance = se_n.transpose(across) @ np.linalg.inv(regularized) @ across
     return np.asarray(np.linalg.eigvalsh(covariance)[:, -1] < (max_stddev * lever) ** 2, dtype=np.bool_)
-
-
-def _error_sizes(views: BoardViews, T_sensor_board: Array, extra: Array) -> tuple[Array, Array]:
-    """Distances (N,) in px between corners, or in m from the board's plane; and those along the beam, m."""
-    norm = np.linalg.norm(views.linearize(T_sensor_board, extra).residual, axis=1)
-    error = views.unwhiten(norm[:, None])[:, 0]
-    if isinstance(views, RangeObservations):
-        return error * views.incidence(T_sensor_board), error
-    return error, np.zeros(0)
 
 
 def _summarize(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import DiagnosticsSettings, DriftTestSettings
-from calgraph.geometry import Array, so3
+from calgraph.geometry import Array
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_solver import (
     Bundle,
@@ -19,6 +19,7 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleState,
     MinimizedBundle,
     body_jacobian,
+    displacement_jacobian,
     linearize_bundle,
 )
 from calgraph.rig.bundle.covariances import pose_jacobian, view_covariance_factors
@@ -87,8 +88,8 @@ def measure_drifts(solved: SolvedBundle) -> DriftStatistics:
     Its variances contain the effect of drifts: where one may be significant, they are estimated again with them.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    time, order = order_boards(solved), np.unique(solved.captures, return_inverse=True)[1]
-    factor = measure_serial_correlation(bundle, solved.minimized, order)
+    time = order_boards(solved)
+    factor = measure_serial_correlation(bundle, solved.minimized, solved.order)
     statistics = replace(score_drifts(bundle, state, solved.minimized.equations, time), serial_correlation=factor)
     if statistics.test_bodies()[0].max() <= chdtri(6, _TRIGGER_PROBABILITY / len(statistics.bodies)):
         return statistics
@@ -169,7 +170,7 @@ def average_drifts(
     for s, body in enumerate(bundle.body.tolist()):
         if body:
             at_end[s, :, 6 * body : 6 * body + 6] = body_jacobian(bundle, state, s)
-            at_end[s, :, :6] = -_displacement_with_root(state, s)
+            at_end[s, :, :6] = -displacement_jacobian(state, s, 0)
     jacobian, moments, log_probability = pose_jacobian(bundle, state), [], []
     for changes, log_prior in possible:
         of_changes, log_evidence = compute_drift_moments(changes.repeat(multiple), settings)
@@ -205,8 +206,7 @@ def list_changes(solved: SolvedBundle, drifts: DriftStatistics) -> Iterator[tupl
 
 def order_boards(solved: SolvedBundle) -> Array:
     """(C,) time of each board, counted in captures, from -1/2 to 1/2."""
-    order = np.unique(solved.captures, return_inverse=True)[1]
-    return np.asarray(order / max(int(order.max(initial=0)), 1) - 0.5)
+    return np.asarray(solved.order / max(int(solved.order.max(initial=0)), 1) - 0.5)
 
 
 # Minimum multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small drifts
@@ -255,13 +255,6 @@ def compute_drift_moments(statistics: DriftStatistics, settings: DriftTestSettin
     probability /= probability.sum()
     moments = np.einsum("m,mij->ij", probability, covariance) + (probability * mean.T) @ mean
     return np.asarray(moments), log_evidence
-
-
-def _displacement_with_root(state: BundleState, sensor: int) -> Array:
-    """(6, 6) that of a point of the root's body at the sensor, by that of the root."""
-    J = np.eye(6)
-    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3])
-    return J
 
 
 def score_drifts(bundle: Bundle, state: BundleState, equations: BundleEquations, time: Array) -> DriftStatistics:

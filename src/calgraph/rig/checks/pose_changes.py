@@ -118,12 +118,8 @@ def change_poses(bundle: Bundle, state: BundleState, equations: BundleEquations,
 def release_poses(bundle: Bundle, state: BundleState, equations: BundleEquations) -> list[PoseChanges]:
     """Changes of the pose of each sensor (S,), the root included, in each of its views alone.
 
-    Each board contributes to one of them, so that a change in several views is the sum of theirs.
-
-    Args:
-        bundle: without outlines and rigid groups.
-        state: its solution.
-        equations: at the solution.
+    Each board contributes to one of them, so that a change in several views is the sum of theirs. The bundle has
+    neither outlines nor rigid groups.
     """
     G, bodies = bundle.parameter_count, range(bundle.body_count + 1)
     released, added = add_changes(bundle, state, equations, np.ones(len(state.T_root_board)), bodies)

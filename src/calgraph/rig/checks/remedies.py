@@ -40,19 +40,9 @@ _COMPARED_RANGES = {"range_bias": 0.005, "range_scale": 0.001}
 _RULER_MINUTES, _TAPE_MINUTES, _CAMERA_MINUTES, _RECORDING_MINUTES, _CAPTURE_MINUTES = 2.0, 5.0, 20.0, 3.0, 0.2
 # Further captures that are considered, as multiples of those recorded.
 _MULTIPLES = (0.25, 0.5, 1.0, 2.0, 3.0)
-# rig.yaml's key of the uncertainty that the prior of each source comes from.
+# rig.yaml's key of the uncertainty that the prior of a source comes from, where its name is another one.
 _KEYS: Mapping[str, str] = {
-    "focal length": "focal_length",
-    "pixel aspect": "pixel_aspect",
-    "principal point": "principal_point",
-    "distortion": "distortion",
-    "range bias": "range_bias",
-    "range scale": "range_scale",
-    "print scale": "print_scale",
-    "print aspect": "print_aspect",
-    "tag size": "tag_size",
     "tag places": "tag_position",
-    "bow": "bow",
     "board size": "size",
     "place of the print": "print_position",
 }
@@ -244,7 +234,7 @@ def _narrow(
     factor = {
         column: before[key] / better[key]
         for source, columns in group_parameters(bundle).items()
-        if source.of == of and (key := _KEYS.get(source.kind, "")) in better
+        if source.of == of and (key := _KEYS.get(source.kind, source.kind.replace(" ", "_"))) in better
         for column in columns.tolist()
     }
     if not factor:

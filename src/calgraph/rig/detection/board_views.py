@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.board_pose import OUTLIER_SIGMAS
-from calgraph.boards.camera import MIN_MOTION_NOISE
 from calgraph.boards.detections import BoardCorners
 from calgraph.boards.printed_boards import (
     PrintedBoard,
@@ -143,10 +141,7 @@ class BoardViewFinder:
         detected = [marks for marks in of_board if len(marks)]
         if not detected:
             return Rejected("")
-        marks: Marks | Rejected = detected[0]
-        if len(detected) > 1:
-            noise = max(self._noise.pixel, MIN_MOTION_NOISE)
-            marks = average_marks(detected, OUTLIER_SIGMAS * noise)
+        marks = average_marks(detected, self._noise)
         if isinstance(marks, Rejected):
             return marks
         corners = printed.landmarks.corners_of(marks.ids)

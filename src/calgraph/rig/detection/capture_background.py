@@ -53,11 +53,6 @@ def learn_capture_background(
 
     If the sensor moved between captures, no direction has a static range. A board that stood in one place is
     static only if hardly any capture measured behind it. Empty clouds show nothing.
-
-    Args:
-        clouds: of one sensor, one a capture.
-        noise: of a beam.
-        settings: of the detection.
     """
     limits = settings.capture_background
     shape = round(np.pi / _DIRECTION_CELL) + 1, round(2 * np.pi / _DIRECTION_CELL)

@@ -108,7 +108,7 @@ def find_patches(
         # Where the board often stood, its points may be taken for background; those on its plane belong to it.
         points = np.concatenate([points, scene.take(np.flatnonzero(valid & ~foreground), axis=0)])
     step = max(1, len(scene) // _MAX_SCENE_POINTS)
-    subsampled = SceneBeams(scene[::step], ranges[::step])
+    subsampled = scene[::step], ranges[::step]
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     measured = [
         _measure_patch(points, cells, region, boards, thickness, subsampled, rng, settings)

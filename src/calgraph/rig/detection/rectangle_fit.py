@@ -43,14 +43,8 @@ class BoardRectangle:
         return np.asarray((points - self.center) @ self.axes)
 
 
-@dataclass(frozen=True, eq=False)
-class SceneBeams:
-    """The beams of a cloud, background included."""
-
-    points: Array
-    """(N, 3) their ends, m."""
-    ranges: Array
-    """(N,) m."""
+SceneBeams = tuple[Array, Array]
+"""Ends (N, 3), m, of the beams of a cloud, background included, and their ranges (N,), m."""
 
 
 def fit_rectangle(
@@ -169,10 +163,10 @@ def measure_solidity_and_isolation(
 
 def _crop_to_cone(rectangle: BoardRectangle, scene: SceneBeams, frame: float) -> tuple[Array, Array]:
     """The points (N, 3) of the scene in the cone around the rectangle and its frame, and their ranges (N,)."""
-    distance = float(np.linalg.norm(rectangle.center))
+    (points, ranges), distance = scene, float(np.linalg.norm(rectangle.center))
     radius = 0.5 * float(np.hypot(*rectangle.size)) + np.sqrt(2) * frame
     if radius >= distance:
-        return scene.points, scene.ranges
+        return points, ranges
     cosine = np.sqrt(1 - (radius / distance) ** 2)
-    inside = np.flatnonzero(scene.points @ (rectangle.center / distance) > cosine * scene.ranges)
-    return scene.points.take(inside, axis=0), scene.ranges[inside]
+    inside = np.flatnonzero(points @ (rectangle.center / distance) > cosine * ranges)
+    return points.take(inside, axis=0), ranges[inside]

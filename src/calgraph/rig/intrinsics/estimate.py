@@ -283,10 +283,6 @@ def choose_views(views: Sequence[BoardView], settings: IntrinsicsSettings) -> li
     """The views that determine a pose; of too many, those that differ most from each other.
 
     The first one chosen has the most corners, and each further one is the farthest from all before it.
-
-    Args:
-        views: all, of images of one size.
-        settings: the number of views, and of their corners.
     """
     usable = [view for view in views if _determines_pose(view)]
     if len(usable) <= settings.max_views:

@@ -31,21 +31,6 @@ _RATIOS = np.geomspace(0.02, 100.0, 150)
 """RMS of a field over the noise that are compared: smaller ones have no effect, larger ones are a wrong model."""
 
 
-@dataclass(frozen=True, eq=False)
-class FieldEquations:
-    """Normal equations of the coefficients of a field, from which all other parameters are eliminated."""
-
-    information: Array
-    """(F, F) of the residuals on the coefficients, each over its standard deviation in a field as large as the
-    noise."""
-    gradient: Array
-    """(F,) by them, with the other sign, at coefficients of zero."""
-    squared_residuals: float
-    """At zero coefficients."""
-    freedom: int
-    """Number of residuals less that of the other parameters."""
-
-
 @dataclass(frozen=True)
 class ModelError:
     """How well a model and a field explain the residuals."""
@@ -58,19 +43,28 @@ class ModelError:
     """-2 log of the likelihood, with the field marginalised, but for a constant."""
 
 
-def estimate_model_error(equations: FieldEquations) -> ModelError:
+def estimate_model_error(
+    information: Array, gradient: Array, squared_residuals: float, freedom: int
+) -> ModelError:
     """Variances of noise and field by restricted maximum likelihood (REML).
 
     The likelihood is a function of their ratio alone. Its posterior median is taken, for a log-uniform prior: the
     most likely one is often zero with few views, and standard deviations would then be too small.
+
+    Args:
+        information: (F, F) on the coefficients of the field, each over its standard deviation in a field as large
+            as the noise, with all other parameters eliminated.
+        gradient: (F,) by them, with the other sign, at coefficients of zero.
+        squared_residuals: there.
+        freedom: number of residuals less that of the other parameters.
     """
-    values, vectors = np.linalg.eigh(equations.information)
+    values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, 0.0)
-    squared = (vectors.T @ equations.gradient) ** 2
+    squared = (vectors.T @ gradient) ** 2
     ratios = np.append(0.0, _RATIOS**2)[:, None]
     explained = np.sum(ratios * squared / (1 + ratios * values), axis=1)
-    noise = np.maximum(equations.squared_residuals - explained, np.finfo(float).tiny) / equations.freedom
-    deviance = equations.freedom * (1 + np.log(noise)) + np.sum(np.log1p(ratios * values), axis=1)
+    noise = np.maximum(squared_residuals - explained, np.finfo(float).tiny) / freedom
+    deviance = freedom * (1 + np.log(noise)) + np.sum(np.log1p(ratios * values), axis=1)
     best = int(np.argmin(deviance))
     posterior = np.cumsum(np.exp(-0.5 * (deviance - deviance[best])))
     middle = int(np.searchsorted(posterior, 0.5 * posterior[-1]))
@@ -117,13 +111,6 @@ def fit_lens(
     """Fits a camera model to views: the camera, the noise and the inliers in turn, until they stay the same.
 
     Errors of the prints have the priors of the rig; intrinsics have none.
-
-    Args:
-        rig: with the boards and the camera.
-        name: of the camera.
-        views: of boards.
-        start: the model, and poses of the boards.
-        settings: of the rounds.
     """
     detections: Mapping[int, BoardCorners] = {
         i: _make_detection(view, T)
@@ -154,13 +141,7 @@ _MODEL_ERROR_ROUNDS = 2
 
 
 def include_model_error(rig: Rig, name: str, fit: LensFit) -> LensFit:
-    """A fit together with a residual distortion, whose size is estimated from the residuals.
-
-    Args:
-        rig: with the boards and the camera.
-        name: of the camera.
-        fit: the camera's model alone.
-    """
+    """A fit together with a residual distortion, whose size is estimated from the residuals."""
     found, noise, error = fit, fit.noise, fit.noise
     for _ in range(_MODEL_ERROR_ROUNDS):
         found = _adjust_lens(rig, name, found.detections, found.camera, noise, error)
@@ -253,7 +234,7 @@ def _summarize(
     freedom = max(residual.size - 6 * len(detections) - size, 1)
     scale, error = float(np.sqrt(np.sum(residual**2) / freedom)), ModelError(0.0, 0.0, 0.0)
     if views.residual_distortion:
-        error = estimate_model_error(_eliminate_all_but_field(bundle, solution, freedom))
+        error = estimate_model_error(*_eliminate_all_but_field(bundle, solution), freedom)
         scale = float(np.sqrt(error.noise))
     J = np.eye(size)
     J[:2, :2] = views.camera.focal[:, None] * [[1, 0.5], [1, -0.5]]
@@ -272,8 +253,8 @@ def _summarize(
     )
 
 
-def _eliminate_all_but_field(bundle: Bundle, solution: MinimizedBundle, freedom: int) -> FieldEquations:
-    """The equations of the residual distortion's coefficients, in the unit of the noise."""
+def _eliminate_all_but_field(bundle: Bundle, solution: MinimizedBundle) -> tuple[Array, Array, float]:
+    """Of the residual distortion, in units of the noise: the first arguments of :func:`estimate_model_error`."""
     views, extra = bundle.views[0], solution.state.extra
     assert isinstance(views, CornerObservations)
     assert views.residual_distortion
@@ -287,4 +268,4 @@ def _eliminate_all_but_field(bundle: Bundle, solution: MinimizedBundle, freedom:
     b = prior * value - g[field] + H[np.ix_(field, others)] @ by_others[:, -1]
     squared = 2 * solution.equations.cost - prior @ value**2 + 2 * b @ value + value @ A @ value
     unit = views.noise.pixel * views.residual_distortion.stddev
-    return FieldEquations(A * unit * unit[:, None], unit * (b + A @ value), float(squared), freedom)
+    return A * unit * unit[:, None], unit * (b + A @ value), float(squared)

@@ -21,7 +21,7 @@ from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_i
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, ImageMarks
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
-from calgraph.sensors import CameraModel, Message
+from calgraph.sensors import Message
 
 _log = logging.getLogger(__name__)
 
@@ -39,11 +39,6 @@ class EstimatedIntrinsics:
     marks: Mapping[str, Mapping[float, tuple[Marks, ...]]]
     """By camera and stamp of an image, what each finder found in it."""
 
-    @property
-    def cameras(self) -> dict[str, CameraModel]:
-        """The estimated intrinsics."""
-        return {name: one.camera for name, one in self.estimates.items()}
-
 
 def estimate_unknown_intrinsics(
     rig: Rig,
@@ -54,17 +49,7 @@ def estimate_unknown_intrinsics(
     progress: Progress = no_progress,
     cache: RecordingCache = NO_CACHE,
 ) -> EstimatedIntrinsics:
-    """Estimates the intrinsics of the cameras without any from all captures.
-
-    Args:
-        rig: with the intrinsics of all other cameras.
-        recording: open recording with the rig's topics.
-        timeline: of the recording.
-        holds: the captures.
-        engine: searches views.
-        progress: called with the step and the fraction done.
-        cache: has what earlier runs found in the images of a camera, and gets the others.
-    """
+    """Estimates the intrinsics of the cameras without any from all captures."""
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
     found = _find_marks(
         rig, unknown, recording, timeline, holds, engine, lambda done: progress("intrinsics", done), cache

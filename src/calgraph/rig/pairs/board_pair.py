@@ -92,7 +92,9 @@ def estimate_pair(
         return Rejected(f"both detected the board in {len(common)} captures, {matches.sample_size} are needed")
     groups = group_alternatives(table, candidates_a, candidates_b)
     residuals = squared_residual_function(matches)
-    enough = max(matches.sample_size, _min_match_count(matches, len(table)))
+    # Matches with fewer residuals in all than the unknowns of a pose fit some pose without redundancy.
+    residuals_per_match = matches.linearize(np.eye(4)[None]).residuals.size // len(table)
+    enough = max(matches.sample_size, 7 // residuals_per_match + 1)
     if known is not None:
         inliers = select_best_of_groups(residuals(known[None])[0], groups)
         if inliers.sum() >= max(enough, len(common) / 2):
@@ -118,12 +120,6 @@ def estimate_pair(
     if refine:
         T_a_b = refine_pose(T_a_b, matches, found.inliers, FLATNESS, settings)
     return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle)
-
-
-def _min_match_count(matches: Matches, count: int) -> int:
-    """Number of matches with more residuals than a pose has unknowns: fewer fit some pose without redundancy."""
-    residuals_per_match = matches.linearize(np.eye(4)[None]).residuals.size // count
-    return 7 // residuals_per_match + 1
 
 
 def _evaluate_estimate(

@@ -1,12 +1,12 @@
 """The paper's joint estimator: sensors, planes and lines as nodes, six kinds of edges (MSG-Cal, section V)."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.boards.detections import Detection, Segment, plane_of
+from calgraph.boards.detections import Segment, plane_of
 from calgraph.config.settings import MatchFilter, Settings
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph.pairwise_estimate import FLATNESS, PairwiseEstimate, select_matches
@@ -129,17 +129,19 @@ class _HypergraphBuilder:
         kind, nodes = ("line", self._lines) if isinstance(detection, Segment) else ("plane", self._planes)
         return kind, self._sensor[sensor], nodes.setdefault((sensor, capture, k), len(nodes))
 
-    def _of(self, nodes: Mapping[tuple[str, int, int], int]) -> Iterator[Detection]:
-        return (self._detections[sensor][capture][k] for sensor, capture, k in nodes)
+    def _measure(self) -> tuple[list[tuple[Array, Array]], list[tuple[Array, Array]]]:
+        """Planes (4,) with covariances (3, 3), and end points of lines (2, 3) with covariances (6, 6)."""
+        found = [self._detections[sensor][capture][k] for sensor, capture, k in (*self._planes, *self._lines)]
+        lines = [(one.endpoints, one.covariance) for one in found if isinstance(one, Segment)]
+        return [plane_of(one) for one in found if not isinstance(one, Segment)], lines
 
     def values(self, T_root_sensor: Mapping[str, Array]) -> Values:
         """Start values: poses as given, observations as measured."""
-        planes = [plane_of(d)[0] for d in self._of(self._planes) if not isinstance(d, Segment)]
-        lines = [d.endpoints for d in self._of(self._lines) if isinstance(d, Segment)]
+        planes, lines = self._measure()
         return {
             "sensors": np.array([T_root_sensor[name] for name in self._sensor]),
-            "planes": np.array(planes).reshape(-1, 4),
-            "lines": np.array(lines).reshape(-1, 2, 3),
+            "planes": np.array([measured for measured, _ in planes]).reshape(-1, 4),
+            "lines": np.array([measured for measured, _ in lines]).reshape(-1, 2, 3),
         }
 
     @property
@@ -153,19 +155,12 @@ class _HypergraphBuilder:
 
     def observation_factors(self) -> list[Factor]:
         """All edges but sensor–sensor."""
-        planes = [plane_of(d) for d in self._of(self._planes) if not isinstance(d, Segment)]
-        lines = [(d.endpoints, d.covariance) for d in self._of(self._lines) if isinstance(d, Segment)]
         factors: list[Factor] = []
-        if planes:
-            measured, covariance = (np.array(part) for part in zip(*planes, strict=True))
-            factors.append(
-                factor_types.SensorPlane(np.arange(len(planes)), measured, factor_types.whitener(covariance))
-            )
-        if lines:
-            measured, covariance = (np.array(part) for part in zip(*lines, strict=True))
-            factors.append(
-                factor_types.SensorLine(np.arange(len(lines)), measured, factor_types.whitener(covariance))
-            )
+        kinds: tuple[Callable[..., Factor], ...] = factor_types.SensorPlane, factor_types.SensorLine
+        for found, build in zip(self._measure(), kinds, strict=True):
+            if found:
+                measured, covariance = (np.array(part) for part in zip(*found, strict=True))
+                factors.append(build(np.arange(len(found)), measured, factor_types.whitener(covariance)))
         for name, build in _OBSERVATION_FACTORS.items():
             if self._edges[name]:
                 factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, FLATNESS))
