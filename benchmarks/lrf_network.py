@@ -46,7 +46,7 @@ from calgraph.network.joint.estimate import solve_network
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import pair_samples, resample_tracks
 from calgraph.network.pairs.visibility_map import ScannerObservations
-from calgraph.network.scanner_pairs import select_depth_stddev
+from calgraph.network.scanner_pairs import DEPTH_STDDEV_OF
 from calgraph.network.track_recording import select_center_estimator
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
@@ -200,7 +200,7 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
         tracked = track_scanners(rig, scans, feature)
         for icp in sorted({setup.icp for setup in setups if setup.feature == feature}):
             rng = np.random.default_rng(seed)
-            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=select_depth_stddev(feature))
+            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=DEPTH_STDDEV_OF[feature])
             pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
             if feature == "com" and icp:
                 judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)

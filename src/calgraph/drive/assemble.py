@@ -136,7 +136,12 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
-            edges=tuple(_list_edges(rig, result)),
+            edges=tuple(
+                Edge(rig.root, name, start.motions, round(start.inliers * start.motions), True, np.zeros(0))
+                if isinstance(start, MotionStart)
+                else Edge(rig.root, name, 0, 0, False, np.zeros(0), note=start.reason)
+                for name, start in result.starts.items()
+            ),
             unconnected=unconnected,
             remarks=(*(finding.text for finding in result.findings), *turning),
             fit=_describe_fit(names, adjusted, result.views) if adjusted else {},
@@ -222,17 +227,6 @@ def measure_views(adjusted: Adjustment, k: int) -> Array:
                 views = one.measure_views(part.trajectory, adjusted.states, adjusted.shared)
                 found.append(views[views[:, 0] == k, 1:])
     return np.concatenate(found)
-
-
-def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:
-    """The root with each other sensor: relative motions, and those that agree."""
-    empty = np.zeros(0)
-    return [
-        Edge(rig.root, name, start.motions, round(start.inliers * start.motions), True, empty)
-        if isinstance(start, MotionStart)
-        else Edge(rig.root, name, 0, 0, False, empty, note=start.reason)
-        for name, start in result.starts.items()
-    ]
 
 
 def _lift_covariance(adjusted: Adjustment) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Pairs of a network's scanners, with clocks that differ and scanners mounted upside-down corrected."""
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,11 +39,9 @@ from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.solver.connected_parts import label_parts
 
-# m; prior standard deviation of the distance from centroids to true centres along the beam: that of a half circle
-# lies 0.6 to 0.8 of the radius before the centre.
-_CENTROID_DEPTH_STDDEV = 0.2
-# m; the same for direct ellipse fits, whose size is unknown.
-_DIRECT_ELLIPSE_DEPTH_STDDEV = 0.05
+# m; prior standard deviation of the distance from tracked to true centres along the beam. The centroid of a half
+# circle lies 0.6 to 0.8 of the radius before the centre; direct ellipse fits do not know the size.
+DEPTH_STDDEV_OF: Mapping[CenterFeature, float] = {"nls": DEPTH_STDDEV, "com": 0.2, "ellipse": 0.05}
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +115,7 @@ def _estimate_pairs(
         tracked,
         rng,
         icp=method.icp,
-        depth_stddev=select_depth_stddev(method.feature),
+        depth_stddev=DEPTH_STDDEV_OF[method.feature],
         engine=options.engine,
         progress=lambda done: progress("pairing", done),
     )
@@ -147,19 +145,17 @@ def _find_differences(
         for pair in pairs.values()
         if isinstance(pair, ScannerPairEstimate) and not pair.hypotheses[0].may_be_by_chance(len(tracked))
     ]
-    firm = [is_firm(pair) for pair in estimates]
-    part = _label_parts(tracked, itertools.compress(estimates, firm))
-    used = itertools.compress(
-        estimates,
-        (
-            is_firm_one or part[pair.sensor_a] != part[pair.sensor_b]
-            for pair, is_firm_one in zip(estimates, firm, strict=True)
-        ),
+    firm = np.array([is_firm(pair) for pair in estimates], dtype=np.bool_)
+    node = {name: k for k, name in enumerate(tracked)}
+    ends = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in estimates], dtype=np.intp).reshape(
+        -1, 2
     )
+    part = label_parts(len(node), ends[firm])
+    used = itertools.compress(estimates, firm | (part[ends[:, 0]] != part[ends[:, 1]]))
     hypotheses = [describe_difference(pair) for pair in used]
-    if len(set(part.values())) > 1:
+    if len(np.unique(part)) > 1:
         observations = _build_observations(tracked)
-        between = select_searched_pairs(observations, np.array(list(part.values())), settings)
+        between = select_searched_pairs(observations, part, settings)
         # Other random numbers than those of pairs and trees, which do not depend on the search.
         rng = np.random.default_rng((options.seed, 1))
         searched = search_clocks_and_mountings(
@@ -168,13 +164,6 @@ def _find_differences(
         hypotheses += [h for h in searched if not may_differ_by_chance(h, len(tracked))]
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
-
-
-def _label_parts(tracked: Mapping[str, ScannerTracks], pairs: Iterable[ScannerPairEstimate]) -> dict[str, int]:
-    """Number of the part of each scanner that pairs connect."""
-    node = {name: k for k, name in enumerate(tracked)}
-    connected = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in pairs], dtype=np.intp)
-    return dict(zip(node, label_parts(len(node), connected.reshape(-1, 2)).tolist(), strict=True))
 
 
 def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, ScannerObservations]:
@@ -318,14 +307,3 @@ def report_clocks_and_mountings(
         for name in solution.contradicted
     ]
     return findings
-
-
-def select_depth_stddev(feature: CenterFeature) -> float:
-    """Standard deviation of the distance from tracked to true centres, m."""
-    match feature:
-        case "nls":
-            return DEPTH_STDDEV
-        case "com":
-            return _CENTROID_DEPTH_STDDEV
-        case "ellipse":
-            return _DIRECT_ELLIPSE_DEPTH_STDDEV

@@ -92,7 +92,9 @@ def track_people(
             options.cache.write(recording, _TRACKS, inputs[name], one)
         progress("tracking", len(found) / len(rig.sensors))
     tracks = {name: found[name].tracks for name in rig.sensors}
-    _log_tracks(tracks)
+    for name, of_scanner in tracks.items():
+        found_tracks = f"none, {of_scanner.reason}" if isinstance(of_scanner, Rejected) else len(of_scanner.tracks)
+        _log.info("tracks of %s: %s", name, found_tracks)
     stated = {name: frame for name in rig.sensors if (frame := found[name].frame) is not None}
     return tracks, stated
 
@@ -284,12 +286,3 @@ def select_center_estimator(feature: CenterFeature) -> CenterEstimator | None:
             from calgraph.network.published.direct_ellipses import measure_direct_ellipses
 
             return measure_direct_ellipses
-
-
-def _log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
-    """Logs the tracks of each scanner, or why it has none."""
-    for name, found in tracks.items():
-        if isinstance(found, Rejected):
-            _log.info("tracks of %s: none, %s", name, found.reason)
-        else:
-            _log.info("tracks of %s: %d", name, len(found.tracks))

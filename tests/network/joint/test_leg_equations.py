@@ -36,7 +36,7 @@ def random_step(rng: np.random.Generator, state: NetworkState) -> tuple[list[Arr
 def slope(equations: NetworkEquations, steps: list[Array], scanners: Array) -> float:
     total = equations.g @ scanners
     for body, columns, step in zip(list_body_equations(equations), equations.columns, steps, strict=True):
-        total += body.slope(step, scanners[columns])
+        total -= body.predict_decrease(step, scanners[columns], damping=0.0)
     return float(total)
 
 

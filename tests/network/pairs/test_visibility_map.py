@@ -53,20 +53,20 @@ def circle(radius: float, ticks: int = 100) -> Array:
 
 @pytest.mark.parametrize(("distance", "past"), [(0.5, True), (4.0, True), (4.8, False), (9.0, False)])
 def test_space_before_a_wall_is_free(distance: float, past: bool) -> None:
-    assert is_free_space(wall(5.0), distance * circle(1.0), 0.3, np.radians(2)).all() == past
-    assert is_free_space(wall(5.0), distance * circle(1.0), 0.3, np.radians(2)).any() == past
+    assert is_free_space(wall(5.0), distance * circle(1.0), 0.3).all() == past
+    assert is_free_space(wall(5.0), distance * circle(1.0), 0.3).any() == past
 
 
 def test_space_without_returns_is_not_free() -> None:
     half = wall(5.0)[:270]  # below the x axis
-    assert is_free_space(half, np.array([[0.0, -3.0], [0.0, 3.0]]), 0.3, np.radians(2)).tolist() == [True, False]
-    assert not is_free_space(np.zeros((0, 2)), circle(1.0), 0.3, np.radians(2)).any()
-    assert not is_free_space(np.full((4, 2), np.nan), circle(1.0), 0.3, np.radians(2)).any()
+    assert is_free_space(half, np.array([[0.0, -3.0], [0.0, 3.0]]), 0.3).tolist() == [True, False]
+    assert not is_free_space(np.zeros((0, 2)), circle(1.0), 0.3).any()
+    assert not is_free_space(np.full((4, 2), np.nan), circle(1.0), 0.3).any()
 
 
 def test_space_at_a_depth_edge_is_free_up_to_the_nearer_side() -> None:
     edge = np.array([[3.0, -0.01], [8.0, 0.01]])
-    assert is_free_space(edge, np.array([[2.0, 0.0], [5.0, 0.0]]), 0.3, np.radians(2)).tolist() == [True, False]
+    assert is_free_space(edge, np.array([[2.0, 0.0], [5.0, 0.0]]), 0.3).tolist() == [True, False]
 
 
 def test_the_map_reaches_to_the_usual_detection_range() -> None:

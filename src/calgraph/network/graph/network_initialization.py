@@ -1,6 +1,6 @@
 """Start poses of the scanners of a network, without scanners whose pose is contradicted."""
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,12 +118,8 @@ def initialize_network(
             pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))
         else:
             part = {names[k] for k in np.flatnonzero(conflict.part)}
-            pairs = _reject_scanners(pairs, part, Rejected(conflict.reason))
-
-
-def _reject_scanners(pairs: ScannerPairs, scanners: Set[str], reason: Rejected) -> ScannerPairs:
-    """The pairs with all those of some scanners rejected."""
-    return {ends: reason if scanners & set(ends) else found for ends, found in pairs.items()}
+            reason = Rejected(conflict.reason)
+            pairs = {ends: reason if part & set(ends) else found for ends, found in pairs.items()}
 
 
 def _reject_edges(

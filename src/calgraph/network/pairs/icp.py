@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, fit_local_lines, se2
 from calgraph.network.pairs.track_registration import rigid_motion_covariance
-from calgraph.network.pairs.visibility_map import MAX_BEAM_GAP, is_free_space
+from calgraph.network.pairs.visibility_map import is_free_space
 
 # Limit on steps; the match distance takes 6 to 8 of them to shrink.
 _MAX_STEPS = 25
@@ -158,9 +158,8 @@ def align_backgrounds(
         match_distance = max(_FINAL_DISTANCE, match_distance * _DISTANCE_FACTOR)
     matches = _match_points(T, a, b, _FINAL_DISTANCE)
     b_in_a, a_in_b = se2.apply(T, b.points), se2.apply(se2.inverse(T), a.points)
-    margins = _FREE_SPACE_MARGIN, MAX_BEAM_GAP
-    contradicting = int(is_free_space(background_a.points, b_in_a, *margins).sum())
-    contradicting += int(is_free_space(background_b.points, a_in_b, *margins).sum())
+    contradicting = int(is_free_space(background_a.points, b_in_a, _FREE_SPACE_MARGIN).sum())
+    contradicting += int(is_free_space(background_b.points, a_in_b, _FREE_SPACE_MARGIN).sum())
     count = len(matches[0])
     if count < _MIN_MATCHES or count < _MIN_MATCH_SHARE * (count + contradicting):
         return Rejected(f"{contradicting} static points of one lie in the free space of the other")

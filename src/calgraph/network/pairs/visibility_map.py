@@ -109,7 +109,7 @@ def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> Visib
     x = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
     r = np.linalg.norm(x, axis=1)
     within = (r > MIN_RANGE) & (r < max_range)
-    within &= is_free_space(tracked.background, x, BACKGROUND_MARGIN, MAX_BEAM_GAP)
+    within &= is_free_space(tracked.background, x, BACKGROUND_MARGIN)
     cells = np.clip(samples.positions / _CELL_SIZE + half, 0, 2 * half - 1).astype(np.intp)
     counts = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
     detected = convolve(counts, np.ones((3, 3)), mode="constant") >= _MIN_DETECTIONS
@@ -122,14 +122,13 @@ def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> Visib
     return VisibilityMap(visible, coverage)
 
 
-def is_free_space(background: Array, x: Array, margin: float, max_beam_gap: float) -> Flags:
+def is_free_space(background: Array, x: Array, margin: float) -> Flags:
     """Tests whether a scanner measures background farther than points of its frame.
 
     Args:
         background: (N, 2) its static points, m; NaN rows are breaks.
         x: (M, 2) points, m.
         margin: least distance of the background behind a point, m.
-        max_beam_gap: largest angle between two background points with free space between them, rad.
 
     Returns:
         (M,) mask.
@@ -143,7 +142,7 @@ def is_free_space(background: Array, x: Array, margin: float, max_beam_gap: floa
     at, r = np.arctan2(x[:, 1], x[:, 0]), np.linalg.norm(x, axis=1)
     k = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
     # Space between two beams is free up to the smaller of their ranges.
-    between = (at - bearing[k - 1] < max_beam_gap) & (bearing[k] - at < max_beam_gap)
+    between = (at - bearing[k - 1] < MAX_BEAM_GAP) & (bearing[k] - at < MAX_BEAM_GAP)
     return np.asarray(between & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
 
 
