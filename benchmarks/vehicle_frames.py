@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.config.base_config import Base
+from calgraph.config.rig_config import Base
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.errors import CalgraphError
