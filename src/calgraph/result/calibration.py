@@ -8,7 +8,6 @@ import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
-from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget, relative_covariances
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
@@ -17,7 +16,7 @@ from calgraph.result.file_types import Finite
 from calgraph.result.finding import split_clauses
 from calgraph.result.pictures import Pictures, correct_pictures
 from calgraph.result.pose_table import format_rows, list_poses, rows_to_html
-from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose
+from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, BaseFrame, SensorPose
 from calgraph.sensors.kinds import KINDS
 
 
