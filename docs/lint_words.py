@@ -60,7 +60,6 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
 NAMES_OPTIONS = {
     "cli/": "options of calgraph",
     "parallel/open_cluster.py": "options of dask worker",
-    "config/draft.py": "options of ros2 topic pub",
     "report/figures.py": "variables of CSS",
     "result/exports/launch.py": "options of tf2_ros's static_transform_publisher",
     "result/exports/tf.py": "options of ros2 topic pub",

@@ -14,11 +14,10 @@ from pydantic.fields import FieldInfo
 from rich.markup import escape
 
 from calgraph.cli.common_options import list_choices
-from calgraph.cli.setting_options import set_nested
+from calgraph.cli.setting_options import parse_value, set_nested
 from calgraph.errors import InputError
 from calgraph.io.field_docs import describe_field, walk_fields
-from calgraph.io.yaml_limits import MAX_RIG_VALUES
-from calgraph.io.yaml_reading import parse_yaml, unwrap_annotation, validate_content
+from calgraph.io.yaml_reading import unwrap_annotation, validate_content
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -158,10 +157,7 @@ def _parse_value(option: ModelOption, value: Any) -> Any:
         return value
     metavar = _metavar(option.field.annotation)
     if metavar == "YAML":
-        try:
-            return parse_yaml(value, Path(option.option), MAX_RIG_VALUES)
-        except InputError as error:
-            raise InputError(f"{option.option}: is not valid YAML, got {value[:60]!r}") from error
+        return parse_value(option.option, value)
     if metavar == "N,N,...":
         return [_parse_number(part) for part in value.split(",") if part.strip()]
     return _parse_number(value) if metavar in ("INT", "N") else value

@@ -99,18 +99,23 @@ def _override(settings: "Settings", assignments: Sequence[str]) -> "Settings":
         path = key.strip().split(".")
         if path[0] in Rig.model_fields and not get_close_matches(path[0], Settings.model_fields):
             raise InputError(f"--set: {path[0]} is a key of rig.yaml and no setting; change it there")
-        set_nested(content, path, _parse(key, text))
+        set_nested(content, path, parse_value("--set", text, f"the value of {key[:60]} "))
     return validate_content(Settings, content, Path("--set"))
 
 
-def _parse(key: str, text: str) -> Any:
+def parse_value(option: str, text: str, what: str = "") -> Any:
+    """The value of an option in YAML.
+
+    Raises:
+        InputError: it is none.
+    """
     from calgraph.io.yaml_limits import MAX_RIG_VALUES
     from calgraph.io.yaml_reading import parse_yaml
 
     try:
-        return parse_yaml(text, Path("--set"), MAX_RIG_VALUES)
+        return parse_yaml(text, Path(option), MAX_RIG_VALUES)
     except InputError as error:
-        raise InputError(f"--set: the value of {key[:60]} is not valid YAML, got {text[:60]!r}") from error
+        raise InputError(f"{option}: {what}is not valid YAML, got {text[:60]!r}") from error
 
 
 def set_nested(content: dict[str, Any], path: Sequence[str], value: Any) -> None:

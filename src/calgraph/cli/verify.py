@@ -20,6 +20,7 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.io.text_writing import format_json
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.rig.checks.bootstrap import BOOTSTRAP_CONFIDENCE
+from calgraph.verdict.grades import axis_names
 
 if TYPE_CHECKING:
     from calgraph.parallel.progress import Progress
@@ -56,11 +57,10 @@ def verify(
         problem = _problem(files, overrides, seed, open_cache(unused=no_cache), cluster, progress)
         calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
-    confidence = BOOTSTRAP_CONFIDENCE
     if json:
-        typer.echo(_content(scatter, kinds, rounds, confidence))
+        typer.echo(_content(scatter, kinds, rounds))
     else:
-        _print(scatter, kinds, rounds, confidence)
+        _print(scatter, kinds, rounds)
         print_remarks(calibration)
     fail_if_not_calibrated(calibration)
     optimistic = [name for name, found in scatter.items() if found.verdict == "optimistic"]
@@ -96,12 +96,8 @@ def _problem(
         return build_problem(rig, recording, options, progress)
 
 
-def _content(
-    scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
-) -> str:
+def _content(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> str:
     """All numbers, m and rad."""
-    from calgraph.verdict.grades import axis_names
-
     sensors: dict[str, Any] = {
         name: {
             "verdict": found.verdict,
@@ -117,16 +113,12 @@ def _content(
         }
         for name, found in scatter.items()
     }  # fmt: skip
-    content = {"format": _FORMAT, "rounds": rounds, "confidence": confidence, "sensors": sensors}
+    content = {"format": _FORMAT, "rounds": rounds, "confidence": BOOTSTRAP_CONFIDENCE, "sensors": sensors}
     return format_json(content, indent=1)
 
 
-def _print(
-    scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
-) -> None:
+def _print(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> None:
     """A row per sensor and axis, then the verdicts."""
-    from calgraph.verdict.grades import axis_names
-
     output = console()
     output.print(f"[bold]Bootstrap over captures, {rounds} rounds: scatter and stated standard deviation[/]")
     rows = [
@@ -138,7 +130,7 @@ def _print(
         for name, found in scatter.items()
         for i, axis in enumerate(axis_names(kinds[name]))
     ]  # fmt: skip
-    numbers = ("scatter", "stated", "ratio", f"all in, {confidence:.0%}")
+    numbers = ("scatter", "stated", "ratio", f"all in, {BOOTSTRAP_CONFIDENCE:.0%}")
     output.print(make_table(["sensor", "axis"], numbers, rows, gap=2))
     for name, found in scatter.items():
         axis, ratio = axis_names(kinds[name])[found.worst], found.ratio[found.worst]

@@ -6,11 +6,14 @@ import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from calgraph.config.rig_config import DRIVE_KINDS, CaptureMode
 from calgraph.errors import InputError
 from calgraph.sensors.kinds import KINDS, TF_TYPES, KindName, motion_kind_of
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 Kind = KindName | Literal["camera_info", "event", "other"]
 
@@ -25,66 +28,6 @@ _REGISTERED = re.compile(r"aligned_depth|depth_to_rgb|depth_registered|registere
 _TRIGGER = re.compile(r"trigger|capture|shutter|snapshot", re.IGNORECASE)
 # YAML 1.1 readers take some of these words as booleans, null or numbers.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z/][\w./-]*", re.IGNORECASE)
-
-_NO_TARGET = """\
-# CHANGE THIS: state the board that you printed, as you measured it; the size of its tags or squares sets the scale
-# of the cameras. calgraph board prints a board and its target block, which calgraph init can copy.
-# target:
-#   kind: board
-#   size: [WIDTH, HEIGHT]       # of the board, m
-#   family: tag36h11            # of the AprilTags
-#   tags:                       # size: edge of the black square; center: x right, y up from the board's centre; m
-#     - {id: 0, size: EDGE, center: [X, Y]}
-#   Or, instead of family and tags, one pattern:
-#   pattern: {kind: checkerboard, columns: 7, rows: 5, square: EDGE}    # columns, rows: inner corners; square: m
-#   pattern: {kind: charuco, columns: 8, rows: 6, square: EDGE, marker: EDGE, dictionary: DICT_5X5_100}
-#   pattern: {kind: aprilgrid, columns: 6, rows: 6, tag_size: EDGE, tag_spacing: 0.3}
-"""
-_NO_TARGET_OF_SCANNERS = """\
-# Or, for scanners that are fixed in a building, the people who walked through:
-# target: {kind: people}
-"""
-_SURROUNDINGS = """\
-# CHECK: this is taken for a robot that drives, as {reason}.
-# A drive needs no target: sensors are calibrated by the walls, floors and furniture that they pass one after the
-# other. If a board was shown to sensors at rest instead, state it here: calgraph board prints its block.
-target:
-  kind: surroundings
-# To get the root on the vehicle, too:
-# base: {{frame: base_link, axle: rear}}
-"""
-_PEOPLE = """\
-# CHECK: this is taken for LiDARs that are fixed in a building, as {reason}.
-# They are calibrated from people who walk through their views. If a board was shown to LiDARs of one robot
-# instead, state it here: calgraph board prints its block.
-target:
-  kind: people
-# Distances between LiDARs are as good as the scale of their ranges: measure known distances, and state for each
-# what is left of the relative error, as uncertainty: {{range_scale: 0.0005}}; 0.003 is assumed.
-"""
-_LEVEL_SCANNERS = """\
-# Walls and people do not show the height, roll and pitch of a 2-D scanner: measure them, and state for each
-# height: 1.4 (m over the floor), roll: 0, pitch: 0 (degrees), uncertainty: {tilt: 0.5}.
-"""
-_OPTIONAL = """\
-# These can take part, too: take their # away. Cameras need boards that are fixed in the room, as target.boards.\
-"""
-_NO_INTRINSICS = (
-    "    # No usable camera_info was found: intrinsics are estimated from the same images. State them if they\n"
-    "    # are known; K is fx, fy, cx, cy."
-)
-_NO_INTRINSICS_OF_CORNERS = (
-    "    # CHANGE: state the intrinsics, as corners do not have the size of the images; K is fx, fy, cx, cy"
-)
-_NO_BACKGROUND = (
-    "# background: [0.0, 5.0]      # s from the start: the room without board and operator; none was found"
-)
-
-_MODES = {
-    "snapshots": "each time is one capture of the board",
-    "synchronized": "each set of frames is one capture of the board",
-}
-"""What a mode other than rest means, for the comment."""
 
 
 @dataclass(frozen=True)
@@ -149,33 +92,50 @@ def draft_rig(
         InputError: there is no sensor among the topics.
     """
     sensors, unused = _assign_topics([_claim_motion(topic) for topic in topics] if drive else topics)
+    optional: list[_Sensor] = []
     if drive:
-        return _draft_drive(topics, recording, drive, sensors, unused)
-    if not sensors:
+        sensors, optional, left_out = _choose_for_drive(sensors)
+        unused = {**unused, **left_out}
+    elif not sensors:
         found = "; ".join(_list_unused(topics, unused)) or "none"
         raise InputError(
             f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
         )
-    if network:
-        people = _PEOPLE.format(reason=_single_line(network))
-        # The root measures the floor.
-        roots = [one for one in sensors if one.topic.kind == "lidar3d"]
-        people += _LEVEL_SCANNERS * (len(roots) < len(sensors))
-        parts = [_head(recording, board=False), _root(roots), people, _sensors(sensors)]
-        return "\n".join([*parts, *filter(None, [_unused_topics(topics, unused)])])
-    parts = [
-        _head(
-            recording,
-            [name for s in sensors for name in (s.topic.name, s.info.name if s.info else "") if name],
-            ros=any("/" in sensor.topic.type for sensor in sensors),
-        ),
-        _root(sensors),
-        target or _missing_target(sensors),
-        _capture(topics, background, mode),
-        _sensors(sensors),
-        _unused_topics(topics, unused),
-    ]
-    return "\n".join(part for part in parts if part)
+    board = not (drive or network)
+    recorded = [topic.name for one in sensors for topic in (one.topic, one.info) if topic and board]
+    has_ros_topics = any("/" in one.topic.type for one in sensors)
+    return _load_template().render(
+        recording=recording,
+        board=board,
+        recorded=" ".join(shlex.quote(_single_line(name)) for name in recorded if has_ros_topics),
+        # The root of a network measures the floor.
+        roots=[one for one in sensors if one.topic.kind == "lidar3d"] if network else sensors,
+        drive=drive,
+        network=network,
+        target=target,
+        triggers=find_triggers(topics)[0],
+        mode=mode,
+        background=background,
+        sensors=sensors,
+        kinds=KINDS,
+        optional=optional,
+        unused=_list_unused(topics, unused),
+    )
+
+
+def _load_template() -> "Template":
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # of few commands
+
+    environment = Environment(
+        loader=PackageLoader("calgraph.config"),
+        undefined=StrictUndefined,
+        autoescape=False,  # no HTML
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"scalar": _format_scalar, "line": _single_line}
+    return environment.get_template("rig.yaml.jinja")
 
 
 def _claim_motion(topic: FoundTopic) -> FoundTopic:
@@ -186,36 +146,18 @@ def _claim_motion(topic: FoundTopic) -> FoundTopic:
     return replace(topic, kind=kind, problem="") if kind else topic
 
 
-def _draft_drive(
-    topics: Sequence[FoundTopic],
-    recording: str,
-    reason: str,
-    sensors: Sequence[_Sensor],
-    unused: Mapping[str, str],
-) -> str:
-    """The text of a rig.yaml of a robot that drives.
+def _choose_for_drive(sensors: Sequence[_Sensor]) -> tuple[list[_Sensor], list[_Sensor], dict[str, str]]:
+    """The sensors of a robot that drives, those that can take part, too, and why topics of others are not used.
 
-    What may be redundant, as an odometry beside two scanners, or needs boards in the room, is a comment.
+    The second may be redundant, as an odometry beside two scanners, or need boards in the room.
     """
     scanners = [one for one in sensors if one.topic.kind in ("lidar2d", "lidar3d")]
     motions = [one for one in sensors if KINDS[one.topic.kind].detects == "motion"]
     cameras = [one for one in sensors if one.topic.kind == "camera"]
     used = scanners if len(scanners) > 1 else [*scanners, *motions]
-    optional = [f"# {line}" for one in [*motions, *cameras] if one not in used for line in _sensor(one, False)]
-    left_out = {
-        one.topic.name: "is of a kind that a drive does not calibrate"
-        for one in sensors
-        if one.topic.kind not in DRIVE_KINDS
-    }
-    parts = [
-        _head(recording, board=False),
-        _root(used),
-        _SURROUNDINGS.format(reason=_single_line(reason)),
-        _sensors(used),
-        "\n".join([_OPTIONAL, *optional, ""]) if optional else "",
-        _unused_topics(topics, {**unused, **left_out}),
-    ]
-    return "\n".join(part for part in parts if part)
+    others = [one.topic.name for one in sensors if one.topic.kind not in DRIVE_KINDS]
+    left_out = dict.fromkeys(others, "is of a kind that a drive does not calibrate")
+    return used, [one for one in [*motions, *cameras] if one not in used], left_out
 
 
 def explain_unused(topics: Sequence[FoundTopic]) -> dict[str, str]:
@@ -305,118 +247,12 @@ def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: i
     return by_name or (in_frame[0] if len(in_frame) == 1 else None) or (alone[0] if len(alone) == 1 else None)
 
 
-def _head(recording: str, topics: Sequence[str] = (), *, ros: bool = False, board: bool = True) -> str:
-    named = " ".join(shlex.quote(_single_line(name)) for name in topics)
-    more = (
-        "# To record more, and to mark each time from which on the board rests:\n"
-        f"#   ros2 bag record -o RECORDING {named} /trigger\n"
-        "#   ros2 topic pub --once /trigger std_msgs/msg/Empty\n"
-    )
-    return (
-        f"# Drafted by calgraph init from the topics of {_single_line(recording)}.\n"
-        f"# Go through the comments, {'state your board, ' if board else ''}then run\n"
-        "#   calgraph calibrate rig.yaml RECORDING -o result\n"
-        f"{more if ros else ''}"
-    )
-
-
-def _root(sensors: Sequence[_Sensor]) -> str:
-    others = ", ".join(sensor.name for sensor in sensors[1:])
-    hint = f"; could be {others}" if others else "; a calibration needs a second sensor"
-    return f"# The sensor in whose frame everything is expressed{hint}.\nroot: {_format_scalar(sensors[0].name)}\n"
-
-
-def _missing_target(sensors: Sequence[_Sensor]) -> str:
-    """Comments in place of a target."""
-    kinds = {sensor.topic.kind for sensor in sensors}
-    return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if kinds in ({"lidar2d"}, {"lidar3d"}) else "")
-
-
-def _capture(
-    topics: Sequence[FoundTopic], background: FoundBackground | None, mode: tuple[CaptureMode, str] | None
-) -> str:
-    triggers, _ = find_triggers(topics)
-    window = (
-        f"background: [0.0, {background.end:.1f}]      # CHECK: s from the start, without board and operator: "
-        f"{_single_line(background.entry)}"
-        if background
-        else _NO_BACKGROUND
-    )
-    if background and not background.searched:
-        # A calibration, which has the board, finds the window again and compares it with the images.
-        window, background = f"# {window}; used unless a camera detects the board in it", None
-    if not triggers and mode and mode[0] in _MODES:
-        why = f"# CHECK: {_single_line(mode[1])}: {_MODES[mode[0]]}."
-        lines = [why, "capture:", f"  mode: {mode[0]}", f"  {window}"]
-    elif not triggers:
-        lines = [
-            "# No trigger topic was found: captures are found by the board resting.",
-            "capture:" if background else "# capture:",
-            f"{'' if background else '# '}  {window.removeprefix('# ')}",
-            "#   trigger: /topic             # every message starts a capture: the board rests from there on",
-        ]
-    else:
-        name, count = triggers[0].name, triggers[0].count
-        lines = [
-            f"# CHECK that each message of the trigger ({count} found) marks a time from when on the board rests;",
-            "# without a trigger the holds are found from the data.",
-            "capture:",
-            f"  trigger: {_format_scalar(name)}",
-            *(f"  # trigger: {_format_scalar(other.name)}" for other in triggers[1:]),
-            f"  {window}",
-        ]
-    return "\n".join([*lines, ""])
-
-
 def find_triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
     """Topics whose messages could start captures, and those that rather fire with every image."""
     named = [t for t in topics if t.kind == "event" and t.count and _TRIGGER.search(t.name)]
     often = max((t.count for t in topics if t.kind in KINDS), default=0) / 2
     plausible = [topic for topic in named if topic.count < often]
     return plausible, [topic for topic in named if topic not in plausible]
-
-
-def _sensors(sensors: Sequence[_Sensor]) -> str:
-    head = [
-        "# Names are free to choose. noise: standard deviations to begin with, of corners (px) or beams (m, rad).",
-        "sensors:",
-    ]
-    root = sensors[0]
-    own_clocks = [sensor for sensor in sensors if sensor.topic.own_clock or root.topic.own_clock]
-    lines = [line for sensor in sensors for line in _sensor(sensor, sensor in own_clocks and sensor is not root)]
-    return "\n".join([*head, *lines, ""])
-
-
-def _sensor(sensor: _Sensor, own_clock: bool) -> list[str]:
-    topic = sensor.topic
-    lines = [
-        f"  {_format_scalar(sensor.name)}:",
-        f"    kind: {topic.kind}",
-        f"    topic: {_format_scalar(topic.name)}  # {topic.count} messages",
-    ]
-    if sensor.info:
-        lines.append(f"    camera_info: {_format_scalar(sensor.info.name)}")
-    elif KINDS[topic.kind].convert:
-        lines.append("    # CHANGE: state camera_info (a topic) or intrinsics; no usable camera_info was found")
-    elif topic.kind == "camera":
-        lines += [
-            _NO_INTRINSICS_OF_CORNERS if topic.type == "corners" else _NO_INTRINSICS,
-            "    # intrinsics: {width: 1280, height: 960, K: [900.0, 900.0, 639.5, 479.5], distortion: []}",
-        ]
-    if own_clock:
-        lines.append("    clock_offset: estimate      # from the motion of the board; leave it out for one clock")
-    if KINDS[topic.kind].detects == "motion":
-        return [*lines, "    # frame_id: name            # the frame that moves; exports need it"]
-    if topic.frame_id:
-        lines.append(f"    frame_id: {_format_scalar(topic.frame_id)}")
-    else:
-        lines.append("    # frame_id: name            # its messages name none; exports need it")
-    return [*lines, f"    noise: {KINDS[topic.kind].drafted_noise}"]
-
-
-def _unused_topics(topics: Sequence[FoundTopic], unused: Mapping[str, str]) -> str:
-    lines = [f"#   {line}" for line in _list_unused(topics, unused)]
-    return "\n".join(["# Also in the recording, but not used:", *lines, ""]) if lines else ""
 
 
 def _list_unused(topics: Sequence[FoundTopic], unused: Mapping[str, str]) -> list[str]:

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict, model_validator
 
-from calgraph.config.base_config import Base
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
 from calgraph.config.target import Board, Cylinder, People, Surroundings, Target, Tolerance
@@ -16,7 +15,7 @@ from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import FLOOR, KINDS, CameraSpec, Lidar3dSpec, SensorSpec, TrajectorySpec
-from calgraph.sensors.kinds.stated import Name
+from calgraph.sensors.kinds.stated import FrameName, Name
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
@@ -68,6 +67,25 @@ class Capture(StrictModel):
         """Whether an interval, s from the start of the recording, lies in no window without captures."""
         excluded = [*self.exclude, *([self.background] if self.background else [])]
         return not any(start < b and end > a for a, b in excluded)
+
+
+# No vehicle is wider, m.
+_Side = Annotated[float, Strict(), Field(ge=-100, le=100, allow_inf_nan=False)]
+
+
+class Base(StrictModel):
+    """The frame of a vehicle that drives: on the floor below the centre of an axle, x ahead, z up."""
+
+    frame: FrameName = "base_link"
+    """Its name, at which exports are rooted."""
+    axle: Literal["rear", "front", "middle"] = "rear"
+    """The axle whose wheels do not steer: ``middle`` of a robot that steers by different speeds of its wheels."""
+    y: _Side | None = None
+    """Of the root, to the left of the middle of the axle, m, which no drive determines without ``wheels``."""
+    wheels: str | None = None
+    """The sensor that is the odometry of the wheels: distances of the middle of the axle determine y."""
+    inverted: Annotated[bool, Strict()] = False
+    """Whether the z axis of the root points down."""
 
 
 class Rig(StrictModel):

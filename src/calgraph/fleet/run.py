@@ -4,7 +4,7 @@ import logging
 import shutil
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -256,10 +256,7 @@ def analyze_recordings(
 
 
 def collect_robots(
-    plans: Sequence[RobotPlan],
-    results: dict[RecordingTask, RecordingResult],
-    rules: ChangeRules,
-    progress: Callable[[float], None] = lambda _done: None,
+    plans: Sequence[RobotPlan], results: dict[RecordingTask, RecordingResult], rules: ChangeRules
 ) -> tuple[RobotResult, ...]:
     """The results by robot, with the changes from recording to recording.
 
@@ -268,9 +265,7 @@ def collect_robots(
     done = {plan.name: tuple(results[task] for task in plan.tasks if task in results) for plan in plans}
     pairs = {name: pair_recordings(of_robot) for name, of_robot in done.items()}
     share = rules.false_alarm_probability / max(sum(map(len, pairs.values())), 1)
-    robots = []
-    for number, plan in enumerate(plans, start=1):
-        comparisons = tuple(compare_poses(pair, rules, share) for pair in pairs[plan.name])
-        robots.append(RobotResult(plan, done[plan.name], comparisons))
-        progress(number / len(plans))
-    return tuple(robots)
+    return tuple(
+        RobotResult(plan, done[plan.name], tuple(compare_poses(pair, rules, share) for pair in pairs[plan.name]))
+        for plan in plans
+    )

@@ -1,8 +1,7 @@
 """Printed boards: designs that fill a board, their pages, and the target block of rig.yaml."""
 
 from calgraph.printing.designs import DEFAULT_SIZE, BoardKind, BoardOptions, design_board
-from calgraph.printing.pages import Page, Window, choose_paper, layout_pages
-from calgraph.printing.paper import Paper, parse_paper, parse_size
+from calgraph.printing.pages import Page, Paper, Window, choose_paper, layout_pages, parse_paper, parse_size
 from calgraph.printing.target_block import format_target, read_boards, replace_target
 
 __all__ = [

@@ -10,7 +10,7 @@ from calgraph.config.target import AtLeastOne, Index, Length, Pair
 from calgraph.errors import InputError
 from calgraph.io.strict_model import StrictModel
 from calgraph.io.yaml_reading import validate_content
-from calgraph.printing.paper import MARGIN
+from calgraph.printing.pages import MARGIN
 
 BoardKind = Literal["tags", "aprilgrid", "charuco", "checkerboard"]
 

@@ -1,6 +1,5 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget, ErrorSource
 from calgraph.result.budget_file import load_pair_budget, save_budget
 from calgraph.result.calibrated_cameras import (
@@ -41,7 +40,7 @@ from calgraph.result.pictures import (
 from calgraph.result.pose_table import to_dataframe
 from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
-from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
+from calgraph.result.sensor_pose import BaseFrame, SensorPose, StatedPose, Verdict
 
 __all__ = [
     "FORMATS", "BaseFrame", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction",

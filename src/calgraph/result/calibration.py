@@ -8,8 +8,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
-from calgraph.result.base_frame import BaseFrame
-from calgraph.result.budget import ErrorBudget
+from calgraph.result.budget import ErrorBudget, relative_covariances
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
@@ -17,7 +16,7 @@ from calgraph.result.file_types import Finite
 from calgraph.result.finding import split_clauses
 from calgraph.result.pictures import Pictures, correct_pictures
 from calgraph.result.pose_table import format_rows, list_poses, rows_to_html
-from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose
+from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, BaseFrame, SensorPose
 from calgraph.sensors.kinds import KINDS
 
 
@@ -232,17 +231,12 @@ class Calibration:
         names = [sensor.name for sensor in self.sensors]
         rows = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
         joint = self.joint_covariance[np.ix_(rows, rows)]
-        unmeasured = np.isnan(np.diag(joint))
-        joint[unmeasured] = joint[:, unmeasured] = 0.0
-        if np.isnan(joint).any():
+        measured = ~np.isnan(np.diag(joint))
+        if np.isnan(joint[np.ix_(measured, measured)]).any():
             raise CalibrationError(
                 f"the correlation of the errors of {a!r} and {b!r} is unknown: this result does not state it"
             )
-        relative = se3.relative_covariance(T_root_a, T_root_b, joint)
-        # In a plane, z, roll and pitch: all frames have the same horizontal plane. Of a gyroscope, its place.
-        either = unmeasured[:6] | unmeasured[6:]
-        relative[either] = relative[:, either] = np.nan
-        return relative
+        return np.asarray(relative_covariances(T_root_a, T_root_b, joint[None])[0])
 
 
 def join_covariances(covariances: Sequence[Array]) -> Array:

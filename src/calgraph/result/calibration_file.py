@@ -13,13 +13,12 @@ from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_text
 from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number, write_csv
-from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget
 from calgraph.result.calibration import Calibration, Provenance
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Remedy, Suggestion
-from calgraph.result.sensor_pose import SensorPose, Verdict
+from calgraph.result.sensor_pose import BaseFrame, SensorPose, Verdict
 
 FORMAT = "calgraph/1"
 _HEADER = """\

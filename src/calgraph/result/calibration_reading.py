@@ -16,7 +16,6 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget, ErrorSource
 from calgraph.result.calibration import Calibration, Provenance
 from calgraph.result.calibration_file import FORMAT
@@ -45,7 +44,7 @@ from calgraph.result.evidence import (
     Suggestion,
 )
 from calgraph.result.file_types import Count, Distance, Finite, Flag, NonNegative, Positive
-from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose, StatedPose, Verdict
+from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, BaseFrame, SensorPose, StatedPose, Verdict
 from calgraph.sensors.kinds import KINDS, KindName
 from calgraph.sensors.kinds.stated import FrameName, Name
 

@@ -1,4 +1,4 @@
-"""The pose of one sensor, with its verdict, and what rig.yaml states of it beyond what is measured."""
+"""The pose of one sensor, or of the root on a vehicle, with its verdict, and what rig.yaml states beyond it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calgraph.config import Intrinsics
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.result.file_types import Distance, Finite, Flag
 from calgraph.sensors.kinds import KindName
 
@@ -79,6 +79,48 @@ class SensorPose:
     def worst_stddev(self) -> tuple[float, float]:
         """The largest of these, m and rad: σ of the pose in all prints, which the tolerance limits."""
         return float(np.max(self.axis_stddev[:3])), float(np.max(self.axis_stddev[3:]))
+
+
+def _unmeasured(rows: int, columns: int) -> Array:
+    return np.full((rows, columns), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class BaseFrame:
+    """The frame on the floor below the centre of an axle: x ahead, y to the left, z up."""
+
+    frame: str
+    """Its name, such as base_link."""
+    axle: str
+    """rear, front or middle."""
+    verdict: Verdict
+    T_base_root: Array = field(default_factory=lambda: _unmeasured(4, 4))
+    """(4, 4); NaN where the drive does not determine it, and for coordinates that are neither measured nor stated:
+    y, and z of rigs that scan one plane."""
+    covariance: Array = field(default_factory=lambda: _unmeasured(6, 6))
+    """(6, 6) of its error in the axes of the base, (translation, rotation), m and rad; NaN for what was not
+    measured."""
+
+    @property
+    def known(self) -> bool:
+        """Whether the drive determines it, but for single coordinates."""
+        return bool(np.isfinite(self.T_base_root[:3, :3]).all())
+
+    @property
+    def missing(self) -> str:
+        """The coordinates that are neither measured nor stated."""
+        return "".join(axis for axis, value in zip("xyz", self.T_base_root[:3, 3], strict=True) if np.isnan(value))
+
+    @property
+    def stddev(self) -> Array:
+        """(6,) along and about the axes of the base, m and rad; NaN for what was not measured."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def complete(self, others: Array | None = None) -> Array:
+        """``T_base_root`` (4, 4) with coordinates of another pose where none are known; 0 without one."""
+        t = self.T_base_root[:3, 3]
+        filled = np.zeros(3) if others is None else others[:3, 3]
+        return se3.pose(self.T_base_root[:3, :3], np.where(np.isnan(t), filled, t))
 
 
 def stddev_along_axes(T_root_sensor: Array, covariance: Array) -> Array:

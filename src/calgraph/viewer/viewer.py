@@ -1,6 +1,6 @@
 """The server of the page in the browser."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING, Self
@@ -75,16 +75,13 @@ def initial_view(calibration: Calibration) -> tuple[Array, Array]:
     if calibration.pictures.floor_views:
         T_plan_root = calibration.pictures.T_plan_root
         on_plan = se3.apply(T_plan_root, origins)[:, :2]
-        points = np.concatenate([on_plan, *(view.background for view in calibration.pictures.floor_views)])
-        low, high = np.percentile(points, [1, 99], axis=0)
-        middle, extent = np.append((low + high) / 2, 0.0), float(np.max(high - low))
+        middle, extent = _find_extent([on_plan, *(view.background for view in calibration.pictures.floor_views)])
+        middle = np.append(middle, 0.0)
         eye = middle + extent * np.array([0.0, -0.45, 0.85])
         position, target = se3.apply(se3.inverse(T_plan_root), np.stack([eye, middle]))
         return position, target
     if calibration.pictures.drive_paths:
-        points = np.concatenate([origins, *(x_root for _, x_root in place_drive(calibration, ViewState(0)))])
-        low, high = np.percentile(points, [1, 99], axis=0)
-        middle, extent = (low + high) / 2, float(np.max(high - low))
+        middle, extent = _find_extent([origins, *(x_root for _, x_root in place_drive(calibration, ViewState(0)))])
         ahead = root_in_drive(calibration, 0)[1, :3]
         return middle + extent * (0.85 * vertical - 0.45 * ahead), middle
     middle = origins.mean(axis=0)
@@ -96,6 +93,12 @@ def initial_view(calibration: Calibration) -> tuple[Array, Array]:
     ahead -= (ahead @ vertical) * vertical
     ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
     return middle + reach * (1.0 * vertical - 1.1 * ahead), middle + 0.3 * reach * ahead
+
+
+def _find_extent(points: Sequence[Array]) -> tuple[Array, float]:
+    """The middle of nearly all points, and their longest side, m."""
+    low, high = np.percentile(np.concatenate(points), [1, 99], axis=0)
+    return (low + high) / 2, float(np.max(high - low))
 
 
 def _suppress_output() -> redirect_stdout[StringIO]:

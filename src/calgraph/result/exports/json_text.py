@@ -6,12 +6,11 @@ import numpy as np
 
 from calgraph.geometry import so3
 from calgraph.io.text_writing import format_json
-from calgraph.result.base_frame import BaseFrame
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT, budget_deviations
 from calgraph.result.correction import Correction
 from calgraph.result.evidence import Edge
-from calgraph.result.sensor_pose import SensorPose
+from calgraph.result.sensor_pose import BaseFrame, SensorPose
 
 
 def to_json(calibration: Calibration) -> str:

@@ -6,11 +6,10 @@ from pydantic import Field
 
 from calgraph.sensors.kinds.camera import CAMERA, CameraSpec, CameraUncertainty, PixelNoise
 from calgraph.sensors.kinds.depth_camera import DEPTH_CAMERA, DepthCameraSpec, DepthCameraUncertainty, DepthNoise
-from calgraph.sensors.kinds.floor import FLOOR
 from calgraph.sensors.kinds.gyroscope import GYROSCOPE, GyroscopeSpec
 from calgraph.sensors.kinds.lidar2d import LIDAR2D, Lidar2dSpec, Lidar2dUncertainty
 from calgraph.sensors.kinds.lidar3d import LIDAR3D, Lidar3dSpec, Lidar3dUncertainty
-from calgraph.sensors.kinds.sensor_kind import SensorKind
+from calgraph.sensors.kinds.sensor_kind import FLOOR, SensorKind
 from calgraph.sensors.kinds.stated import BeamError, OpticalSpec, RangeNoise, RangeUncertainty
 from calgraph.sensors.kinds.trajectory import TF_TYPES, TRAJECTORY, TrajectorySpec
 from calgraph.sensors.messages import Message

@@ -72,3 +72,18 @@ class SensorKind:
     def measures_ranges(self) -> bool:
         """Whether it measures distances, so that it may have a background."""
         return self.detects in ("plane", "line")
+
+
+FLOOR = SensorKind(
+    name="floor",
+    title="floor",
+    spec=StrictModel,
+    messages=(),
+    types=(),
+    detects="nothing",
+    axes=LEVEL_AXES,
+    shape="axes",
+    color="#a8a8a8",
+    default_name="floor",
+)
+"""The root of a network may be the floor: no sensor, but a frame that poses are stated in."""
