@@ -76,8 +76,10 @@ def _explain(error: Exception) -> str:
 def check_unpacked_size(size: int, limits: LimitSettings) -> None:
     """Raises ValueError where data are larger than the limit, before or while they are unpacked; bytes."""
     if size > limits.max_unpacked_bytes:
-        limit = f"{limits.max_unpacked_bytes / 1e6:.0f} MB"
-        raise ValueError(f"unpacks to more than the limit of {limit}{_name_setting('max_unpacked_bytes')}")
+        raise ValueError(
+            f"unpacks to more than the limit of {limits.max_unpacked_bytes / 1e6:.0f} MB: it is damaged, or needs "
+            "limits.max_unpacked_bytes in the settings"
+        )
 
 
 def check_pixel_count(width: int, height: int, limits: LimitSettings, *, several_scans: bool = False) -> None:
@@ -90,20 +92,18 @@ def check_pixel_count(width: int, height: int, limits: LimitSettings, *, several
     if width * height > allowed:
         form = " in a progressive JPEG" if several_scans else ""
         raise ValueError(
-            f"image states {width} x {height} pixels, more than the limit of "
-            f"{allowed}{form}{_name_setting('max_image_pixels')}"
+            f"image states {width} x {height} pixels, more than the limit of {allowed}{form}: it is "
+            "damaged, or needs limits.max_image_pixels in the settings"
         )
 
 
 def check_point_count(count: int, limits: LimitSettings) -> None:
     """Raises ValueError where a cloud has more points, or a scan more beams, than the limit."""
     if count > limits.max_points:
-        limit = f"{limits.max_points}{_name_setting('max_points')}"
-        raise ValueError(f"has {count} points, more than the limit of {limit}")
-
-
-def _name_setting(name: str) -> str:
-    return f": it is damaged, or needs limits.{name} in the settings"
+        raise ValueError(
+            f"has {count} points, more than the limit of {limits.max_points}: it is damaged, or needs "
+            "limits.max_points in the settings"
+        )
 
 
 class LimitedStore(Typestore):

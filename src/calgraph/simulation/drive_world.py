@@ -99,7 +99,7 @@ class DriveWorld:
     """All that stand still but boards, with the floor and the ramps."""
     bodies: tuple[MovingBody, ...] = ()
     boards: tuple[Surface, ...] = ()
-    """Of walls."""
+    """On walls."""
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
