@@ -25,8 +25,9 @@ from calgraph.errors import Rejected
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds.stated import Intrinsics
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, SimulatedDrive, simulate_drive
-from calgraph.simulation.drive_boards import SimulatedView, WallBoard
+from calgraph.simulation.drive_boards import WallBoard
 from calgraph.simulation.drive_scenario import DRIVE_KINDS
+from drive_detections import SimulatedView, detect_views
 from judged_sensors import Outcome, Truth, judge, list_worlds, make_judging_parser, measure, show_outcomes
 from worlds import run_worlds
 
@@ -53,10 +54,10 @@ def make_rig(drive: SimulatedDrive) -> Rig:
 def make_sources(rig: Rig, drive: SimulatedDrive) -> dict[str, Source]:
     """What the sensors measured."""
     sources: dict[str, Source] = {}
-    models = rig.camera_models()
+    models, seen = rig.camera_models(), detect_views(drive)
     for k, (name, spec) in enumerate(rig.sensors.items()):
         if name in models:
-            sources[name] = locate_boards(drive.corners[name], drive.truth.boards.boards, models[name])
+            sources[name] = locate_boards(seen[name], drive.truth.boards.boards, models[name])
             continue
         reader = LidarReader(rig, name, 3, np.random.default_rng(k))
         for message in drive.messages[spec.topic]:

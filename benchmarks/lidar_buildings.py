@@ -30,6 +30,7 @@ from calgraph.recording import open_recordings
 from calgraph.simulation.hall_scenario import HallScenario, LidarModel
 from calgraph.simulation.hall_simulation import record_hall
 from calgraph.simulation.truth import load_truth
+from hall_buildings import simulate_building
 from network_stages import Stopwatch, fit_slope
 from process_costs import in_process, measure_peak_memories
 from worlds import make_parser
@@ -86,8 +87,8 @@ def main() -> None:
 def simulate(place: Path, count: int, duration: float) -> None:
     """Writes the recording of a building."""
     model: LidarModel = "slow16"
-    scenario = HallScenario(SEED, duration, (model,) * count, building=True)
-    record_hall(scenario, place, lambda _done, _total: None)
+    scenario = HallScenario(SEED, duration, (model,) * count)
+    record_hall(simulate_building(scenario), place, lambda _done, _total: None)
 
 
 def calibrate(place: Path, jobs: int, cluster: bool) -> Row:

@@ -27,6 +27,7 @@ from calgraph.simulation.camera_render import (
 from calgraph.simulation.drive_scenario import CameraErrors
 from calgraph.simulation.solids import BoxShape, Solid
 from drive_board_scenes import CAMERA, MOUNTED, place_boards, see
+from drive_detections import detect_views
 from drive_scenes import drive
 
 
@@ -104,7 +105,7 @@ def test_simulated_corners_are_where_boards_are() -> None:
     found = simulate_drive(scenario)
     mounts = {mount.sensor.name: mount for mount in found.truth.mounts}
     shifts = []
-    for name, views in found.corners.items():
+    for name, views in detect_views(found).items():
         camera: CameraModel = found.truth.boards.cameras[name].true
         for view in views:
             board = found.truth.boards.boards[view.board]

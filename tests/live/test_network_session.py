@@ -139,13 +139,13 @@ def test_silent_scanners_are_named(fed: Fed) -> None:
     fed.feed(3, ("a", "b"))
     state = fed.session.state()
     assert state.headline == "c: no messages any more"
-    assert state.sensors[2].problem == "no messages for 3 s"
+    assert state.sensors[2].problem == "has sent no message for 3 s"
 
 
 def test_a_clock_that_differs_from_the_others_is_named(fed: Fed) -> None:
     fed.feed(2, delay={"b": 7.0, "c": 0.05})
     assert [sensor.problem for sensor in fed.session.state().sensors] == [
-        "", "its clock is 7.0 s behind the others", "",
+        "", "has a clock that is 7.0 s late: state its clock_offset", "",
     ]  # fmt: skip
 
 

@@ -130,7 +130,7 @@ def test_pcd_cut_short_is_an_error(tmp_path: Path, kind: str) -> None:
 
 def test_ascii_pcd_with_fewer_points_than_stated_is_an_error(tmp_path: Path) -> None:
     path = pcd(tmp_path / "1.pcd", "ascii", HEADER.replace("POINTS 3", "POINTS 4"))
-    with pytest.raises(ValueError, match="has 3 points of 5 values, not 4 of 5"):
+    with pytest.raises(ValueError, match="has 3 points of 5 values, states 4 of 5"):
         read_pcd(path)
 
 

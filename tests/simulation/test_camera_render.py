@@ -15,7 +15,7 @@ from calgraph.simulation.camera_render import (
     blur_image,
     build_render_context,
     build_texture_pyramid,
-    draw_board_and_operator,
+    draw_board,
     draw_noise_pool,
     render_board_texture,
 )
@@ -39,7 +39,7 @@ def printed(board: Board) -> PrintedBoard:
 
 def render_board(context: RenderContext, T_world_board: Array, board: PrintedBoard, blur: float) -> Gray:
     image = context.background.copy()
-    draw_board_and_operator(image, context, T_world_board, board, ())
+    draw_board(image, context, T_world_board, board)
     return blur_image(image, blur)
 
 

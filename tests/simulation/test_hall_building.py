@@ -4,12 +4,13 @@ import numpy as np
 
 from calgraph.geometry import se3
 from calgraph.sensors import PointCloud
-from calgraph.simulation import HallScenario, simulate_hall
+from calgraph.simulation import HallScenario
+from hall_buildings import simulate_building
 
 
 def test_lidars_of_a_building_measure_its_floor_and_walls() -> None:
     """With the poses of the truth, all points are in the building, and some on its floor."""
-    building = simulate_hall(HallScenario(2, duration=1.5, lidars=("slow16",) * 4, building=True))
+    building = simulate_building(HallScenario(2, duration=1.5, lidars=("slow16",) * 4))
     truth, size = building.truth, building.truth.hall.size
     for name, topic in building.rig.topics.items():
         clouds = [record.decode() for record in building.recording.records([topic])]
@@ -24,7 +25,7 @@ def test_lidars_of_a_building_measure_its_floor_and_walls() -> None:
 
 def test_a_lidar_of_a_large_building_measures_what_is_near() -> None:
     """Ranges end at 30 m."""
-    building = simulate_hall(HallScenario(2, duration=1.0, lidars=("slow16",) * 30, building=True))
+    building = simulate_building(HallScenario(2, duration=1.0, lidars=("slow16",) * 30))
     assert len(building.ranges) == 30
     longest = [float(np.nanmax(ranges)) for ranges in building.ranges.values()]
     assert max(longest) < 30.5

@@ -12,7 +12,7 @@ from calgraph.cli.simulate import Out, ScenarioFile, Seed, simulate_into, simula
 from calgraph.errors import InputError
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.parallel.processes import available_cores
-from calgraph.simulation import HallScenario, LayoutName, NetworkScenario, simulate_network
+from calgraph.simulation import HallScenario, LayoutName, NetworkScenario, simulate_hall, simulate_network
 from calgraph.simulation.hall_scenario import LidarModel
 from calgraph.simulation.hall_simulation import record_hall
 
@@ -83,7 +83,7 @@ def _simulate_hall(
     }
     hall = HallScenario(seed, lidars=lidars, **chosen)
     with simulated_folder(out) as (folder, progress):
-        record_hall(hall, folder, lambda done, total: progress("writing", done / total))
+        record_hall(simulate_hall(hall), folder, lambda done, total: progress("writing", done / total))
 
 
 simulate_network_command = add_options(simulate_network_options, _MODEL_OPTIONS, NetworkScenario())

@@ -11,7 +11,6 @@ from calgraph.live.motion import Rest, RestMonitor
 from calgraph.live.state import Phase
 from calgraph.rig.captures.holds import Hold, find_holds
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD
-from calgraph.rig.captures.validate_recording import is_message_of_kind
 
 # Stamps as floating-point numbers are apart by 0.2 µs: captures do not share a message.
 _GAP = 1e-6
@@ -38,8 +37,6 @@ class Waiting:
     """Why none can be taken before someone corrects it."""
 
 
-# Time without messages, s, after which a sensor is taken for silent; three periods of slow ones.
-SILENCE = 2.0
 # Time from the last motion to the start of a capture, s: 0.1 s before the end of a move by 1 m the board is still
 # 10 mm from its place, and moves no more than noise.
 _SETTLE = 0.2
@@ -68,27 +65,6 @@ class CaptureFinder:
         periods = {name: self._timeline.sensors[name].period for name in self._rig.sensors}
         return [name for name, period in periods.items() if period <= MAX_MOTION_PERIOD]
 
-    def find_problems(self) -> dict[str, str]:
-        """By sensor that keeps captures from being taken, why: a predicate."""
-        clocks = self._timeline.find_wrong_clocks()
-        problems = {name: self._find_problem(name, clocks.get(name, 0.0)) for name in self._rig.sensors}
-        return {name: problem for name, problem in problems.items() if problem}
-
-    def _find_problem(self, name: str, ahead: float) -> str:
-        times, kind = self._timeline.sensors[name], self._rig.sensors[name].kind
-        age = self._timeline.age(name)
-        slow = max(times.period if times.period < float("inf") else 0.0, times.duration)
-        if age is None:
-            return "sends no messages"
-        if age > max(SILENCE, 3 * slow):
-            return f"has sent no message for {age:.0f} s"
-        if not is_message_of_kind(times.message_type, kind):
-            return f"sends {times.message_type} messages, and its kind is {kind}"
-        if ahead:
-            side = "early" if ahead > 0 else "late"
-            return f"has a clock that is {abs(ahead):.1f} s {side}: state its clock_offset"
-        return ""
-
     def now(self) -> float:
         """After the stamps of all measurements so far, s."""
         stamps = [times.latest for times in self._timeline.sensors.values()]
@@ -101,7 +77,7 @@ class CaptureFinder:
             forced: a time at which it begins in any case, s; else it lies in the rest under way.
             judged: start of a rest in which none is wanted, s.
         """
-        problems = self.find_problems()
+        problems = self._timeline.find_problems()
         if problems:
             text = "; ".join(f"{name} {problem}" for name, problem in problems.items())
             return Waiting("ready", problem=text)

@@ -1,6 +1,7 @@
-"""Calls in other processes, whose results come back into the loop of the session."""
+"""Calls in other processes, whose results come back into the loop of the session, and tasks in this one."""
 
-from collections.abc import Callable
+import asyncio
+from collections.abc import Callable, Coroutine
 from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import Any
 
@@ -64,3 +65,16 @@ class JobQueue:
     def _break(self, error: BaseException) -> None:
         self.closed = True
         self.problem = f"a process was killed, perhaps because memory ran out ({error})"
+
+
+async def run_until_one_ends(*coroutines: Coroutine[Any, Any, object]) -> None:
+    """Runs all until the first ends, whose exception is raised, and cancels the others."""
+    tasks = [asyncio.create_task(one) for one in coroutines]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

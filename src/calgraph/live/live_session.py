@@ -11,7 +11,7 @@ from calgraph.config import Rig
 from calgraph.errors import CalibrationError, RecordingError
 from calgraph.io.termination import handle_interrupt
 from calgraph.live.drive_session import DriveSession
-from calgraph.live.job_queue import Post
+from calgraph.live.job_queue import Post, run_until_one_ends
 from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.network_session import NetworkSession
 from calgraph.live.recorder import Recorder
@@ -87,15 +87,7 @@ async def record_session(
         while session.busy:
             await asyncio.sleep(_IDLE_CHECK)
 
-    tasks = [asyncio.create_task(receive()), asyncio.create_task(session.finish_wanted.wait())]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+    await run_until_one_ends(receive(), session.finish_wanted.wait())
     with suppress(RecordingError):  # the page shows it already
         await record_triggers()
 

@@ -2,15 +2,18 @@
 
 from array import array
 from bisect import bisect_left, insort
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import median
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.geometry import Array
+from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.captures.validate_recording import is_message_of_kind
 from calgraph.sensors import PointCloud, RecordedMessage
 
 # The period of a sensor and its rate are those of its last messages: drivers change them, and connections break.
@@ -18,6 +21,8 @@ _RECENT = 21
 # Maximum difference of a sensor's clock from the others, s, that is one of latencies: networks and drivers take
 # some tenths.
 _MAX_CLOCK_DIFFERENCE = 1.0
+# Time without messages, s, after which a sensor is taken for silent; three periods of slow ones.
+_SILENCE = 2.0
 
 
 @dataclass
@@ -74,13 +79,15 @@ class LiveTimeline:
     """The stamps of all sensors, and what their first messages state.
 
     What :func:`build_timeline` finds in the recording of the same messages is the same.
-
-    Args:
-        sensors: their names.
     """
 
-    def __init__(self, sensors: Collection[str]) -> None:
-        self.sensors = {name: GrowingTimes() for name in sensors}
+    def __init__(self, rig: Rig) -> None:
+        # Offsets that are to be estimated are known when the recording is calibrated.
+        stated = {name: spec.clock_offset for name, spec in rig.sensors.items()}
+        self.clock_offsets = {name: one if isinstance(one, float) else 0.0 for name, one in stated.items()}
+        """By sensor, s."""
+        self._kinds = {name: spec.kind for name, spec in rig.sensors.items()}
+        self.sensors = {name: GrowingTimes() for name in rig.sensors}
         """By name."""
         self.start: float | None = None
         """The first arrival of a message, s; windows in rig.yaml count from here. None before it."""
@@ -91,6 +98,10 @@ class LiveTimeline:
         """Notes that a message of any topic arrived, s."""
         self.start = arrival if self.start is None else min(self.start, arrival)
         self.latest_arrival = max(self.latest_arrival, arrival)
+
+    def correct(self, name: str, record: RecordedMessage) -> RecordedMessage:
+        """A message of a sensor with a stamp by the clock of the others, as far as rig.yaml states the offset."""
+        return shift_record(record, -self.clock_offsets[name], 0.0)
 
     def add(self, name: str, record: RecordedMessage) -> None:
         """Adds a message of a sensor; the first one with content is decoded.
@@ -121,6 +132,31 @@ class LiveTimeline:
         """Time from the last arrival of the sensor's messages to the last of all, s; None before the first."""
         arrivals = self.sensors[name].arrivals
         return max(self.latest_arrival - arrivals[-1], 0.0) if arrivals else None
+
+    def find_problems(self) -> dict[str, str]:
+        """By sensor whose messages are of no use now, why: a predicate."""
+        clocks = self.find_wrong_clocks()
+        found = {name: self._find_problem(name, kind, clocks.get(name, 0.0)) for name, kind in self._kinds.items()}
+        return {name: problem for name, problem in found.items() if problem}
+
+    def _find_problem(self, name: str, kind: str, ahead: float) -> str:
+        age, message_type = self.age(name), self.sensors[name].message_type
+        if age is None:
+            return "sends no messages"
+        if self.is_silent(name):
+            return f"has sent no message for {age:.0f} s"
+        if not is_message_of_kind(message_type, kind):
+            return f"sends {message_type} messages, and its kind is {kind}"
+        if ahead:
+            side = "early" if ahead > 0 else "late"
+            return f"has a clock that is {abs(ahead):.1f} s {side}: state its clock_offset"
+        return ""
+
+    def is_silent(self, name: str) -> bool:
+        """Whether a sensor has sent messages, and does not any more."""
+        age, times = self.age(name), self.sensors[name]
+        slow = max(times.period if times.period < float("inf") else 0.0, times.duration)
+        return age is not None and age > max(_SILENCE, 3 * slow)
 
     def find_wrong_clocks(self) -> dict[str, float]:
         """By sensor, by how much its clock is ahead of those of the others, s, where that is much."""

@@ -21,7 +21,6 @@ from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import RestMonitor
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
-from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.detectors import draw_seeds
 from calgraph.rig.captures.motion_detection import Signed
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD
@@ -54,12 +53,8 @@ class MessageAnalysis:
     def __init__(self, rig: Rig, source: str) -> None:
         self._rig, self._source = rig, source
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
-        # Offsets that are to be estimated are known when the recording is calibrated.
-        offsets = {name: spec.clock_offset for name, spec in rig.sensors.items()}
-        self.clock_offsets = {name: o if isinstance(o, float) else 0.0 for name, o in offsets.items()}
-        """By sensor, s."""
         self._learning: set[str] = set()
-        self.timeline = LiveTimeline(rig.sensors)
+        self.timeline = LiveTimeline(rig)
         self.ring = MessageRing(rig.settings.live.ring)
         self.rests = RestMonitor(rig.sensors)
         self.detectors = LiveDetectors(rig)
@@ -104,7 +99,7 @@ class MessageAnalysis:
             if name is None:
                 self.detectors.add_intrinsics(record)
                 return
-            record = shift_record(record, -self.clock_offsets[name], 0.0)
+            record = self.timeline.correct(name, record)
             if not is_past:
                 self.ring.add(name, record, len(message.data))
             if not is_past or self._is_of_background(record):
@@ -219,11 +214,7 @@ class MessageAnalysis:
 
 
 class LiveDetectors:
-    """Intrinsics and backgrounds that have been found so far, and the detectors made from them.
-
-    Args:
-        rig: of the session.
-    """
+    """Intrinsics and backgrounds that have been found so far, and the detectors made from them."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig

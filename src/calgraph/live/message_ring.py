@@ -15,11 +15,7 @@ class _Kept(NamedTuple):
 
 
 class MessageRing:
-    """Keeps the messages of the last seconds; the oldest of all sensors are dropped first.
-
-    Args:
-        settings: of the budget.
-    """
+    """Keeps the messages of the last seconds; the oldest of all sensors are dropped first."""
 
     def __init__(self, settings: MessageRingSettings) -> None:
         self._settings = settings

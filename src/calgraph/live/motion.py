@@ -66,11 +66,6 @@ class RestMonitor:
     A view moves if it changes more than its noise, which is that of the time without operator at first, and of the
     quietest messages later. When rest and motion have both been measured, Otsu's threshold separates them if it is
     higher: a board that is held by hand never rests completely.
-
-    Args:
-        sensors: their names.
-        motion: how changes are measured.
-        settings: of the decision.
     """
 
     def __init__(self, sensors: Collection[str]) -> None:
@@ -115,14 +110,7 @@ class RestMonitor:
         return bool(motion.recent) and self._moves(motion, motion.recent[-1][1])
 
     def find_rest(self, fast: Collection[str]) -> Rest | None:
-        """The rest under way.
-
-        Args:
-            fast: sensors whose messages show motion.
-
-        Returns:
-            None while a view moves, and where no view was measured.
-        """
+        """The rest under way of sensors whose messages show motion; None while a view moves, and without any."""
         motions = {name: self._sensors[name] for name in fast if self._sensors[name].recent}
         if not motions or len(motions) < len(fast) or any(self.is_moving(name) for name in motions):
             return None

@@ -19,6 +19,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calgraph.config.settings import PageSettings
+from calgraph.live.job_queue import run_until_one_ends
 from calgraph.live.state import Action, SessionState
 
 
@@ -88,13 +89,7 @@ _COMMAND_RATE = 5.0
 
 
 class PageApp:
-    """Answers requests, and gives the state to all pages that are open.
-
-    Args:
-        view: the session.
-        settings: of the page.
-        refusals: are counted here.
-    """
+    """Answers requests, counts what it refuses, and gives the state of the session to all pages that are open."""
 
     def __init__(self, view: SessionView, settings: PageSettings, refusals: Refusals) -> None:
         self._view = view
@@ -151,18 +146,7 @@ class PageApp:
         try:
             await socket.accept()
             # The page is gone where it sends no more, and as good as gone where it accepts no more.
-            tasks = [
-                asyncio.create_task(self._send_states(socket)),
-                asyncio.create_task(self._take_commands(socket)),
-            ]
-            try:
-                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-                for task in done:
-                    task.result()
-            finally:
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
+            await run_until_one_ends(self._send_states(socket), self._take_commands(socket))
         finally:
             self._pages -= 1
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calgraph.config import Rig
 from calgraph.errors import RecordingError, Rejected
-from calgraph.live.capture_finder import SILENCE, name_sensors
+from calgraph.live.capture_finder import name_sensors
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.session import S, Session, SessionPools
 from calgraph.live.source import LiveMessage
@@ -48,7 +48,7 @@ class RecordedSession(Session[S]):
     ) -> None:
         super().__init__(rig, source, pools, print_line)
         self._recording, self._clock = recording, clock
-        self.timeline = LiveTimeline(rig.sensors)
+        self.timeline = LiveTimeline(rig)
         self._began, self._next = 0.0, -math.inf
         """When the last solution began and when the next may, s."""
 
@@ -58,7 +58,8 @@ class RecordedSession(Session[S]):
         for name, topic in self.rig.topics.items():
             if topic == message.channel.topic:
                 try:
-                    self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
+                    record = message.read(self._source, self.rig.settings.limits)
+                    self.timeline.add(name, self.timeline.correct(name, record))
                 except RecordingError as error:
                     self.timeline.sensors[name].note_malformed(str(error))
         self.advance()
@@ -87,16 +88,14 @@ class RecordedSession(Session[S]):
         """The phase and its headline while a sensor sends nothing."""
         if unheard := [name for name in self.rig.sensors if self.timeline.age(name) is None]:
             return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
-        if silent := [name for name in self.rig.sensors if self._describe_silence(name)]:
+        if silent := [name for name in self.rig.sensors if self.timeline.is_silent(name)]:
             return "measuring", f"{name_sensors(silent)}: no messages any more"
         return None
 
     def describe_sensor(self, name: str) -> SensorState:
         """A sensor by its messages; see :meth:`Session.describe_sensor`."""
-        difference = self.timeline.find_wrong_clocks().get(name, 0.0)
-        clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
         times, solved = self.timeline.sensors[name], self.find_solved(name)
-        problems = times.describe_malformed(), self._describe_silence(name), clock if difference else ""
+        problems = times.describe_malformed(), self.timeline.find_problems().get(name)
         return SensorState(
             name=name,
             kind=self.rig.sensors[name].kind,
@@ -105,7 +104,3 @@ class RecordedSession(Session[S]):
             reason=solved.reason if solved else "",
             captures=solved.tracks if solved else 0,
         )
-
-    def _describe_silence(self, name: str) -> str:
-        age = self.timeline.age(name)
-        return f"no messages for {age:.0f} s" if age is not None and age > SILENCE else ""

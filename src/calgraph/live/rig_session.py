@@ -10,7 +10,6 @@ from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
-from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
 from calgraph.live.live_rig import TRIGGER_TOPIC, make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
@@ -67,8 +66,6 @@ class RigSession(Session[LiveSolution]):
         self._solve, self._exclude = solve, exclude
         self.analysis = MessageAnalysis(self.rig, source)
         self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, print_line)
-        self._queue = JobQueue(pools.analysis, pools.analysis_processes, pools.post, self.advance)
-        self._queues.append(self._queue)
         self._solved_captures: tuple[object, ...] = ()
         self._advancing = False
 
@@ -90,7 +87,7 @@ class RigSession(Session[LiveSolution]):
                 self.analysis.feed(item, is_past=True)
                 if item.channel.topic == TRIGGER_TOPIC:
                     triggers.append(item.read(self._source, rig.settings.limits).stamp)
-        offsets = {rig.topics[name]: offset for name, offset in self.analysis.clock_offsets.items()}
+        offsets = {rig.topics[name]: offset for name, offset in self.analysis.timeline.clock_offsets.items()}
         method = DetectionMethod(self.analysis.detectors.cameras, self.analysis.detectors.seeds)
         captures = find_captures(
             rig, correct_stamps(recording, offsets), self.analysis.timeline.snapshot(triggers), method, engine
@@ -137,7 +134,7 @@ class RigSession(Session[LiveSolution]):
             name=name,
             kind=self.rig.sensors[name].kind,
             rate=times.rate,
-            problem=self.taker.finder.find_problems().get(name, "") or times.describe_malformed(),
+            problem=analysis.timeline.find_problems().get(name, "") or times.describe_malformed(),
             sees_board=activity.view.sees_board if activity.view else None,
             reason=activity.explain_view(),
             moving=analysis.rests.is_moving(name),

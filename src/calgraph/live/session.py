@@ -62,7 +62,8 @@ class Session(ABC, Generic[S]):
         """Set when the operator ends the session."""
         self._source, self._print_line = source, print_line
         self._solver = JobQueue(pools.solving, 1, pools.post, self.advance)
-        self._queues = [self._solver]
+        self._queue = JobQueue(pools.analysis, pools.analysis_processes, pools.post, self.advance)
+        self._queues = (self._solver, self._queue)
         self.solution: S | None = None
         """The last one; None before the first."""
         self._problem = ""

@@ -150,7 +150,9 @@ def _from_metadata(folder: Path) -> BagFiles:
         content = read_yaml(metadata_path)
         metadata: Mapping[str, Any] = content["rosbag2_bagfile_information"]
         files = tuple(folder / PurePath(name).name for name in metadata["relative_file_paths"])
-        stated = tuple(_topic_from_metadata(entry) for entry in metadata.get("topics_with_message_count") or ())
+        counted = metadata.get("topics_with_message_count") or ()
+        topics = [(entry["topic_metadata"], entry["message_count"]) for entry in counted]
+        stated = tuple(TopicInfo(str(topic["name"]), str(topic["type"]), int(count)) for topic, count in topics)
     except InputError as error:
         raise RecordingError(f"{error}; {advice}") from error
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
@@ -169,11 +171,6 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:  # names that the file system does not allow
         return False
-
-
-def _topic_from_metadata(entry: Mapping[str, Any]) -> TopicInfo:
-    topic = entry["topic_metadata"]
-    return TopicInfo(str(topic["name"]), str(topic["type"]), int(entry["message_count"]))
 
 
 def split_numbers(text: str) -> list[tuple[int, str]]:

@@ -164,22 +164,19 @@ class _McapReader(storage_mcap.McapReader):
         assert self.bio
         # Profiles only name conventions: the encoding of each topic decides whether it can be read.
         self.bio = replace_start(self.bio, _ROS2_PROFILE, _PROFILE_START)
-        self._read_index_or_make_it()
-        self.connections = [
-            one._replace(msgtype=normalize_msgtype(one.msgtype)) if serialization_of(one) == "ros1" else one
-            for one in self.connections
-        ]
-
-    def _read_index_or_make_it(self) -> None:
         try:
             super()._open()
         except ReaderError:
             # Where its data begin is known if its header could be read.
-            if not self.data_start or not self.bio or not lacks_end(self.bio):
+            if not self.data_start or not lacks_end(self.bio):
                 raise
             self.bio = complete_mcap(self.bio, self.limits)
             self.is_finished = False
             super()._open()
+        self.connections = [
+            one._replace(msgtype=normalize_msgtype(one.msgtype)) if serialization_of(one) == "ros1" else one
+            for one in self.connections
+        ]
 
     def meta_scan(self) -> None:
         """Reads the records of a file without a summary."""

@@ -11,13 +11,7 @@ from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
 from calgraph.recording.damage import MAX_RANGE, check_point_count, wrap_errors
 from calgraph.recording.driver_types import LIVOX_PACKAGES, read_livox_points
-from calgraph.recording.images import (
-    decode_depths,
-    decode_image,
-    depths_from_buffer,
-    pixels_from_buffer,
-    to_8_bits,
-)
+from calgraph.recording.images import decode_depths, decode_image, read_buffer, to_8_bits
 from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2, points_dtype
 from calgraph.recording.velodyne_packets import columns_from_velodyne
@@ -165,12 +159,11 @@ def _foxglove_scan(message: Any, stamp: float, limits: LimitSettings) -> LaserSc
 
 
 def _image(message: Any, stamp: float, _: LimitSettings) -> Image:
-    buffer = (
-        np.frombuffer(message.data, np.uint8), message.height, message.width, message.step, message.encoding
-    )  # fmt: skip
+    data = np.frombuffer(message.data, np.uint8)
     big_endian = bool(getattr(message, "is_bigendian", False))  # which Foxglove's are not
-    pixels = pixels_from_buffer(*buffer, big_endian=big_endian)
-    depths = depths_from_buffer(*buffer, big_endian=big_endian)
+    pixels, depths = read_buffer(
+        data, message.height, message.width, message.step, message.encoding, big_endian=big_endian
+    )
     return Image(stamp, _frame_id(message), pixels, depths)
 
 

@@ -27,8 +27,9 @@ _BAYER = {
 # reading, and not a setting: the map is linear, so that the positions of edges and corners do not depend on it.
 _STRETCH_PERCENTILES, _STRETCH_SAMPLE = (0.1, 99.9), 100_000
 _DECODING = threading.Lock()
-# Types of the depths of encodings, and the bytes before the PNG of compressed depths.
-_DEPTH_TYPES = {"16uc1": "u2", "32fc1": "f4"}
+# Types of values of two bytes and of four, encodings of depths, and the bytes before the PNG of compressed depths.
+_DEEP_TYPES = {2: "u2", 4: "f4"}
+_DEPTH_ENCODINGS = ("16uc1", "32fc1")
 _DEPTH_HEADER = 12
 # Encoding to channels, bytes a channel, and OpenCV's conversion to BGR, if one is needed.
 _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
@@ -55,10 +56,10 @@ _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
 }
 
 
-def pixels_from_buffer(
+def read_buffer(
     data: Pixels, height: int, width: int, step: int, encoding: str, *, big_endian: bool = False
-) -> Pixels:
-    """Pixels of a ROS Image.
+) -> tuple[Pixels, NDArray[np.float32] | None]:
+    """Pixels of a ROS Image, and its depths where it has any (REP 118).
 
     Args:
         data: (n,) raw bytes.
@@ -66,10 +67,11 @@ def pixels_from_buffer(
         width: columns.
         step: bytes from one row to the next, padding included; 0 for none.
         encoding: ROS's name, in either case.
-        big_endian: byte order of 16-bit values.
+        big_endian: byte order of values of several bytes.
 
     Returns:
-        (height, width) grey or (height, width, 3) BGR.
+        (height, width) grey or (height, width, 3) BGR; and (height, width) depths, m, NaN where there is none, or
+        None of encodings without.
 
     Raises:
         ValueError: unknown encoding, or too few bytes.
@@ -91,32 +93,16 @@ def pixels_from_buffer(
             f"image has {len(data)} bytes of data, {needed} are needed for {width} x {height} {encoding}"
         )
     rows = np.lib.stride_tricks.as_strided(np.ascontiguousarray(data), (height, row), (step, 1))
-    values = np.ascontiguousarray(rows)
-    if depth == 4:
-        depths = values.view(">f4" if big_endian else "<f4")
-        values = to_8_bits(np.where(np.isfinite(depths), depths, 0))
-    elif depth == 2:
-        values = to_8_bits(values.view(">u2" if big_endian else "<u2"))
+    values: NDArray[Any] = np.ascontiguousarray(rows)
+    if depth > 1:
+        values = values.view(np.dtype(_DEEP_TYPES[depth]).newbyteorder(">" if big_endian else "<"))
+    depths = to_depths(values) if name in _DEPTH_ENCODINGS else None
+    if depth > 1:
+        values = to_8_bits(np.where(np.isfinite(values), values, 0) if depth == 4 else values)
     pixels = values.reshape((height, width) if channels == 1 else (height, width, channels))
-    if conversion is None:
-        return pixels
-    return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
-
-
-def depths_from_buffer(
-    data: Pixels, height: int, width: int, step: int, encoding: str, *, big_endian: bool = False
-) -> NDArray[np.float32] | None:
-    """Depths (height, width) of a ROS Image, m, NaN where there is none; None of other encodings (REP 118).
-
-    Arguments are those of :func:`pixels_from_buffer`, which checks them.
-    """
-    name = encoding.strip().lower()
-    if name not in _DEPTH_TYPES:
-        return None
-    kind = np.dtype(_DEPTH_TYPES[name]).newbyteorder(">" if big_endian else "<")
-    row = width * kind.itemsize
-    rows = np.lib.stride_tricks.as_strided(np.ascontiguousarray(data), (height, row), (step or row, 1))
-    return to_depths(np.ascontiguousarray(rows).view(kind))
+    if conversion is not None:
+        pixels = cv2.cvtColor(pixels, conversion)
+    return np.asarray(pixels, dtype=np.uint8), depths
 
 
 def to_depths(values: NDArray[Any]) -> NDArray[np.float32]:

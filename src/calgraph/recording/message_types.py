@@ -108,7 +108,7 @@ class MessageType:
         if self.header is None:
             return None
         if self.header_is_first:
-            stamp = _leading_stamp_ros1(raw) if self.ros1 else _leading_stamp_cdr(raw)
+            stamp = _leading_stamp(raw, ros1=self.ros1)
         else:
             header = getattr(self.deserialize(raw), self.header)
             time = header if self.header == _TIMESTAMP else header.stamp
@@ -229,15 +229,9 @@ def _default_store(encoding: str) -> Typestore:
     return store
 
 
-def _leading_stamp_cdr(raw: bytes) -> int:
+def _leading_stamp(raw: bytes, *, ros1: bool) -> int:
     if len(raw) < 12:
         raise ValueError(f"a message of {len(raw)} bytes is too short for a header")
-    seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-    return int(seconds) * 10**9 + int(nanoseconds)
-
-
-def _leading_stamp_ros1(raw: bytes) -> int:
-    if len(raw) < 12:
-        raise ValueError(f"a message of {len(raw)} bytes is too short for a header")
-    seconds, nanoseconds = struct.unpack_from("<II", raw, 4)
+    code = "<II" if ros1 else "<iI" if raw[1] & 1 else ">iI"
+    seconds, nanoseconds = struct.unpack_from(code, raw, 4)
     return int(seconds) * 10**9 + int(nanoseconds)

@@ -143,16 +143,16 @@ def _whole_numbers(header: dict[str, list[str]], key: str) -> list[int]:
     return [int(word) for word in words]
 
 
-def _ascii(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
+def _ascii(body: bytes, dtype: np.dtype[Any], n: int, what: str = "points") -> Columns:
     if n == 0:
         return _columns(np.empty(0, dtype))
     if n > len(body):
-        raise ValueError(f"is cut short: {len(body)} bytes of points, states {n} points")
+        raise ValueError(f"is cut short: {len(body)} bytes of {what}, states {n} {what}")
     table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=n)
     names = dtype.names or ()
     firsts = np.cumsum([0] + [dtype[name].shape[0] for name in names])
     if table.shape != (n, firsts[-1]):
-        raise ValueError(f"has {table.shape[0]} points of {table.shape[1]} values, not {n} of {firsts[-1]}")
+        raise ValueError(f"has {table.shape[0]} {what} of {table.shape[1]} values, states {n} of {firsts[-1]}")
     return {
         name: table[:, first].astype(dtype[name].base)
         for name, first in zip(names, firsts[:-1], strict=True)
@@ -182,9 +182,9 @@ def _columns(points: NDArray[Any]) -> Columns:
     return {name: points[name][:, 0] for name in points.dtype.names or ()}
 
 
-def _take_exactly(data: bytes, size: int) -> bytes:
+def _take_exactly(data: bytes, size: int, what: str = "points") -> bytes:
     if len(data) < size:
-        raise ValueError(f"is cut short: {len(data)} bytes of points, {size} expected")
+        raise ValueError(f"is cut short: {len(data)} bytes of {what}, {size} expected")
     return data[:size]
 
 
@@ -215,19 +215,8 @@ def read_ply(path: Path, limits: LimitSettings = LimitSettings()) -> Columns:
     n, dtype = _vertices(lines, _ORDERS[kind])
     check_point_count(n, limits)
     if kind == "ascii":
-        names = dtype.names or ()
-        if n > len(body):
-            raise ValueError(f"is cut short: {len(body)} bytes of vertices, states {n} vertices")
-        table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=n) if n else np.zeros((0, len(names)))
-        if table.shape != (n, len(names)):
-            raise ValueError(
-                f"has {table.shape[0]} vertices of {table.shape[1]} values, states {n} of {len(names)}"
-            )
-        return {name: table[:, i].astype(dtype[name]) for i, name in enumerate(names)}
-    if len(body) < n * dtype.itemsize:
-        raise ValueError(f"is cut short: {len(body)} bytes of vertices, {n * dtype.itemsize} expected")
-    vertices = np.frombuffer(body, dtype, n)
-    return {name: vertices[name] for name in dtype.names or ()}
+        return _ascii(body, dtype, n, "vertices")
+    return _columns(np.frombuffer(_take_exactly(body, n * dtype.itemsize, "vertices"), dtype, n))
 
 
 def _vertices(lines: list[list[str]], order: str) -> tuple[int, np.dtype[Any]]:
@@ -247,4 +236,4 @@ def _vertices(lines: list[list[str]], order: str) -> tuple[int, np.dtype[Any]]:
         raise ValueError(
             f"properties of PLY vertices must have a type and different names, got {', '.join(wrong or names)}"
         )
-    return int(first[2]), np.dtype([(name, order + _TYPES[kind]) for kind, name in properties])
+    return int(first[2]), np.dtype([(name, order + _TYPES[kind], (1,)) for kind, name in properties])

@@ -183,7 +183,9 @@ def _scan_records(file: BinaryIO, start: int) -> Iterator[_Record]:
         if not 0 < op <= _DATA_END and op < _FIRST_PRIVATE:
             raise ValueError(f"has no record at byte {position}: it is damaged there")
         if record.end > size:
-            _check_incomplete(file, record, size)
+            # It is the start of one, or has a damaged length.
+            if op == _CHUNK and record.start + _CHUNK_HEAD.size + _MAX_COMPRESSION + 8 <= size:
+                _read_chunk_head(file, record, None)
             return
         yield record
         position = record.end
@@ -195,16 +197,6 @@ def _is_zero(file: BinaryIO, position: int) -> bool:
         if block.count(0) < len(block):
             return False
     return True
-
-
-def _check_incomplete(file: BinaryIO, record: _Record, size: int) -> None:
-    """Checks that a record is the start of one, and not one with a damaged length.
-
-    Raises:
-        ValueError: it is not.
-    """
-    if record.op == _CHUNK and record.start + _CHUNK_HEAD.size + _MAX_COMPRESSION + 8 <= size:
-        _read_chunk_head(file, record, None)
 
 
 def _read_chunk_head(file: BinaryIO, record: _Record, limits: LimitSettings | None) -> _Chunk:

@@ -163,9 +163,14 @@ def serialize_message(store: Typestore, message: Message, encoding: Encoding = "
     Raises:
         InputError: it cannot be expressed in ROS.
     """
-    if type(message) not in _MAKERS:
+    content: Any
+    if isinstance(message, Trigger):
+        ros_type, content = "std_msgs/msg/Header", _header(store, message.stamp, "")
+    elif type(message) in _MAKERS:
+        ros_type, fields = _MAKERS[type(message)](store, message, encoding)
+        content = store.types[ros_type](**{"header": _header(store, message.stamp, message.frame_id), **fields})
+    else:
         raise InputError(f"ROS has no type for {type(message).__name__}")
-    ros_type, content = _MAKERS[type(message)](store, message, encoding)
     return ros_type, store.serialize_cdr(content, ros_type)
 
 
@@ -179,39 +184,29 @@ def _header(store: Typestore, stamp: float, frame_id: str) -> Any:
     return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
-def _make_message(store: Typestore, ros_type: str, **fields: Any) -> tuple[str, Any]:
-    return ros_type, store.types[ros_type](**fields)
+_Content = tuple[str, dict[str, Any]]
+"""A ROS type, and its fields; the header is that of the message where they have none."""
 
 
-def _image(store: Typestore, image: Image, encoding: Encoding) -> tuple[str, Any]:
-    header = _header(store, image.stamp, image.frame_id)
+def _image(_: Typestore, image: Image, encoding: Encoding) -> _Content:
     if encoding != "raw" and image.depth is None:
         data, declared = encode_image(image.pixels, encoding)
-        return _make_message(
-            store,
-            "sensor_msgs/msg/CompressedImage",
-            header=header,
-            format=declared,
-            data=np.frombuffer(data, np.uint8),
-        )
+        return "sensor_msgs/msg/CompressedImage", {"format": declared, "data": np.frombuffer(data, np.uint8)}
     height, width = image.pixels.shape[:2]
     pixels, declared = image.pixels, "mono8" if image.pixels.ndim == 2 else "bgr8"
     if image.depth is not None:
         pixels, declared = np.round(1e3 * np.nan_to_num(image.depth)).astype("<u2").view(np.uint8), "16UC1"
-    return _make_message(
-        store,
-        "sensor_msgs/msg/Image",
-        header=header,
-        height=height,
-        width=width,
-        encoding=declared,
-        is_bigendian=0,
-        step=pixels[0].size,
-        data=np.ascontiguousarray(pixels).ravel(),
-    )
+    return "sensor_msgs/msg/Image", {
+        "height": height,
+        "width": width,
+        "encoding": declared,
+        "is_bigendian": 0,
+        "step": pixels[0].size,
+        "data": np.ascontiguousarray(pixels).ravel(),
+    }
 
 
-def _laser_scan(store: Typestore, scan: LaserScan, _: Encoding) -> tuple[str, Any]:
+def _laser_scan(_: Typestore, scan: LaserScan, __: Encoding) -> _Content:
     n = len(scan.angles)
     increment = float(scan.angles[-1] - scan.angles[0]) / (n - 1) if n > 1 else 0.0
     start = float(scan.angles[0]) if n else 0.0
@@ -219,123 +214,101 @@ def _laser_scan(store: Typestore, scan: LaserScan, _: Encoding) -> tuple[str, An
         raise InputError(
             f"scan at {scan.stamp:.6f}: its beams are not evenly spaced, which LaserScan cannot represent"
         )
-    farthest = float(scan.ranges[scan.valid].max(initial=0))
-    return _make_message(
-        store,
-        "sensor_msgs/msg/LaserScan",
-        header=_header(store, scan.stamp, scan.frame_id),
-        angle_min=start,
-        angle_max=float(scan.angles[-1]) if n else 0.0,
-        angle_increment=increment,
-        time_increment=scan.time_increment,
-        scan_time=scan.duration,
-        range_min=0.0,
+    return "sensor_msgs/msg/LaserScan", {
+        "angle_min": start,
+        "angle_max": float(scan.angles[-1]) if n else 0.0,
+        "angle_increment": increment,
+        "time_increment": scan.time_increment,
+        "scan_time": scan.duration,
+        "range_min": 0.0,
         # Rounded up, so that the farthest beam stays within it as a float32.
-        range_max=float(np.ceil(farthest)) + 1,
-        ranges=scan.ranges.astype(np.float32),
-        intensities=np.zeros(0, np.float32),
-    )
+        "range_max": float(np.ceil(scan.ranges[scan.valid].max(initial=0))) + 1,
+        "ranges": scan.ranges.astype(np.float32),
+        "intensities": np.zeros(0, np.float32),
+    }
 
 
-def _point_cloud(store: Typestore, cloud: PointCloud, _: Encoding) -> tuple[str, Any]:
-    columns: list[tuple[str, str, int, Any]] = [
-        (axis, "<f4", 7, cloud.points[:, i]) for i, axis in enumerate("xyz")
-    ]
+def _point_cloud(store: Typestore, cloud: PointCloud, _: Encoding) -> _Content:
+    columns: dict[str, tuple[str, int, Any]]
+    columns = {axis: ("<f4", 7, cloud.points[:, i]) for i, axis in enumerate("xyz")}
     if cloud.rings is not None:
-        columns.append(("ring", "<u2", 4, cloud.rings))
+        columns["ring"] = ("<u2", 4, cloud.rings)
     if cloud.times is not None:
-        columns.append(("time", "<f4", 7, cloud.times))
-    points = np.empty(len(cloud.points), np.dtype([(name, code) for name, code, _, _ in columns]))
-    for name, _code, _datatype, values in columns:
+        columns["time"] = ("<f4", 7, cloud.times)
+    points = np.empty(len(cloud.points), np.dtype([(name, code) for name, (code, _, _) in columns.items()]))
+    for name, (_code, _datatype, values) in columns.items():
         points[name] = values
-    field = store.types["sensor_msgs/msg/PointField"]
-    offsets = {name: points.dtype.fields[name][1] for name in points.dtype.names or () if points.dtype.fields}
-    return _make_message(
-        store,
-        "sensor_msgs/msg/PointCloud2",
-        header=_header(store, cloud.stamp, cloud.frame_id),
-        height=1,
-        width=len(points),
-        fields=[
-            field(name=name, offset=offsets[name], datatype=datatype, count=1)
-            for name, _code, datatype, _values in columns
+    field: Any = store.types["sensor_msgs/msg/PointField"]
+    layout: Any = points.dtype.fields
+    return "sensor_msgs/msg/PointCloud2", {
+        "height": 1,
+        "width": len(points),
+        "fields": [
+            field(name=name, offset=layout[name][1], datatype=datatype, count=1)
+            for name, (_code, datatype, _values) in columns.items()
         ],
-        is_bigendian=False,
-        point_step=points.dtype.itemsize,
-        row_step=points.nbytes,
-        data=points.view(np.uint8),
-        is_dense=True,
-    )
+        "is_bigendian": False,
+        "point_step": points.dtype.itemsize,
+        "row_step": points.nbytes,
+        "data": points.view(np.uint8),
+        "is_dense": True,
+    }
 
 
-def _camera_info(store: Typestore, info: CameraInfo, _: Encoding) -> tuple[str, Any]:
+def _camera_info(store: Typestore, info: CameraInfo, _: Encoding) -> _Content:
     camera = info.camera
     pinhole = "rational_polynomial" if camera.distortion.size == 8 else "plumb_bob"
     roi = store.types["sensor_msgs/msg/RegionOfInterest"]
-    return _make_message(
-        store,
-        "sensor_msgs/msg/CameraInfo",
-        header=_header(store, info.stamp, info.frame_id),
-        height=camera.height,
-        width=camera.width,
-        distortion_model="equidistant" if camera.model == "fisheye" else pinhole,
-        d=camera.distortion.copy(),
-        k=camera.K.ravel().copy(),
-        r=np.eye(3).ravel(),
-        p=np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
-        binning_x=0,
-        binning_y=0,
-        roi=roi(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
-    )
+    return "sensor_msgs/msg/CameraInfo", {
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": "equidistant" if camera.model == "fisheye" else pinhole,
+        "d": camera.distortion.copy(),
+        "k": camera.K.ravel().copy(),
+        "r": np.eye(3).ravel(),
+        "p": np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": roi(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    }
 
 
 def _vector(store: Typestore, values: Array, name: str = "Vector3") -> Any:
     return store.types[f"geometry_msgs/msg/{name}"](**dict(zip("xyzw", values.tolist(), strict=False)))
 
 
-def _odometry(store: Typestore, one: Pose, _: Encoding) -> tuple[str, Any]:
+def _odometry(store: Typestore, one: Pose, _: Encoding) -> _Content:
     types, none, zero = store.types, np.zeros(36), _vector(store, np.zeros(3))
     pose = types["geometry_msgs/msg/Pose"](
         position=_vector(store, one.position, "Point"), orientation=_vector(store, one.quaternion, "Quaternion")
     )
     twist = types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
-    return _make_message(
-        store,
-        "nav_msgs/msg/Odometry",
-        header=_header(store, one.stamp, f"{one.frame_id}_world"),
-        child_frame_id=one.frame_id,
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=none),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=none),
-    )
+    return "nav_msgs/msg/Odometry", {
+        "header": _header(store, one.stamp, f"{one.frame_id}_world"),
+        "child_frame_id": one.frame_id,
+        "pose": types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=none),
+        "twist": types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=none),
+    }
 
 
-def _imu(store: Typestore, one: TurnRate, _: Encoding) -> tuple[str, Any]:
+def _imu(store: Typestore, one: TurnRate, _: Encoding) -> _Content:
     # A covariance that begins with -1 states that there is no such measurement.
-    missing = np.zeros(9)
-    missing[0] = -1
-    return _make_message(
-        store,
-        "sensor_msgs/msg/Imu",
-        header=_header(store, one.stamp, one.frame_id),
-        orientation=_vector(store, np.array([0.0, 0, 0, 1]), "Quaternion"),
-        orientation_covariance=missing,
-        angular_velocity=_vector(store, one.rate),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=_vector(store, np.zeros(3)),
-        linear_acceleration_covariance=missing,
-    )
+    missing = np.array([-1.0, *np.zeros(8)])
+    return "sensor_msgs/msg/Imu", {
+        "orientation": _vector(store, np.array([0.0, 0, 0, 1]), "Quaternion"),
+        "orientation_covariance": missing,
+        "angular_velocity": _vector(store, one.rate),
+        "angular_velocity_covariance": np.zeros(9),
+        "linear_acceleration": _vector(store, np.zeros(3)),
+        "linear_acceleration_covariance": missing,
+    }
 
 
-def _trigger(store: Typestore, trigger: Trigger, _: Encoding) -> tuple[str, Any]:
-    return "std_msgs/msg/Header", _header(store, trigger.stamp, "")
-
-
-_MAKERS: dict[type, Callable[[Typestore, Any, Encoding], tuple[str, Any]]] = {
+_MAKERS: dict[type, Callable[[Typestore, Any, Encoding], _Content]] = {
     Image: _image,
     LaserScan: _laser_scan,
     PointCloud: _point_cloud,
     CameraInfo: _camera_info,
     Pose: _odometry,
     TurnRate: _imu,
-    Trigger: _trigger,
 }

@@ -29,7 +29,8 @@ from calgraph.simulation.rig_scenario import (
     RigScenario,
     SpinningOptions,
 )
-from calgraph.simulation.rig_simulation import Progress, simulate_rig, world_rig
+from calgraph.simulation.rig_simulation import simulate_rig, world_rig
+from calgraph.simulation.simulation_files import Progress
 from calgraph.simulation.truth import BoardTruth, GroundTruth, PersonTruth, load_truth, save_truth
 from calgraph.simulation.world import World, build_world, ground_truth
 

@@ -15,9 +15,10 @@ from calgraph.config import Board, PrintedBitmap, printed_bitmaps
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel, Image
 from calgraph.simulation.robot import MountedDepthCamera
-from calgraph.simulation.solids import Solid, cast_rays
+from calgraph.simulation.solids import Solid, Surface, cast_rays
 
 Gray = NDArray[np.float32]
+Visible = Solid | Surface
 
 _COARSE_STEP = 4
 """Step of the pixel grid on which the environment is drawn and the board is searched, pixels."""
@@ -66,7 +67,7 @@ def build_texture_pyramid(face: Array, size: tuple[float, float]) -> PrintedBoar
 
 
 def build_render_context(
-    camera: CameraModel, T_world_camera: Array, environment: Sequence[Solid], rng: np.random.Generator
+    camera: CameraModel, T_world_camera: Array, environment: Sequence[Visible], rng: np.random.Generator
 ) -> RenderContext:
     """Casts the rays of all pixels and renders the empty room with a random texture on its surfaces."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
@@ -80,7 +81,7 @@ def build_render_context(
 
 
 def move_render_context(
-    context: RenderContext, T_world_camera: Array, environment: Sequence[Solid], rng: np.random.Generator
+    context: RenderContext, T_world_camera: Array, environment: Sequence[Visible], rng: np.random.Generator
 ) -> RenderContext:
     """The context of a camera that has moved; with an equal generator, surfaces have equal textures."""
     coarse = context.coarse_rays @ (T_world_camera[:3, :3] @ context.T_world_camera[:3, :3].T).T
@@ -91,7 +92,7 @@ def move_render_context(
 def _render_room(
     coarse: Array,
     T_world_camera: Array,
-    environment: Sequence[Solid],
+    environment: Sequence[Visible],
     shape: tuple[int, ...],
     rng: np.random.Generator,
 ) -> Gray:
@@ -100,22 +101,6 @@ def _render_room(
     points = T_world_camera[:3, 3] + np.where(np.isfinite(ranges), ranges, 0)[..., None] * coarse
     image = _upsample(gray * (1 + 0.25 * _random_texture(points, rng)))[: shape[0], : shape[1]]
     return np.ascontiguousarray(image)
-
-
-def draw_board_and_operator(
-    image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid]
-) -> None:
-    """Draws a board and the person behind it over a sharp image, in place.
-
-    Args:
-        image: (height, width) grey values 0 to 255, a copy of the context's background at first.
-        context: the camera with its cached rays.
-        T_world_board: (4, 4).
-        board: the printed board.
-        operator: the person behind it.
-    """
-    _draw_solids(image, context, operator)
-    draw_board(image, context, T_world_board, board)
 
 
 def blur_image(image: Gray, blur: float) -> Gray:
@@ -152,7 +137,8 @@ def draw_noise_pool(camera: CameraModel, sigma: float, rng: np.random.Generator)
 def draw_board(image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard) -> None:
     """Draws the board over the image, in place."""
     T_board_camera = se3.inverse(T_world_board) @ context.T_world_camera
-    window = _board_window(context, T_board_camera, board.size)
+    x, y = _intersect_board(context.rays[:, ::_COARSE_STEP, ::_COARSE_STEP], T_board_camera)
+    window = _hit_window((np.abs(x) <= board.size[0] / 2) & (np.abs(y) <= board.size[1] / 2))
     if window is None:
         return
     part = image[window]
@@ -166,14 +152,6 @@ def draw_board(image: Gray, context: RenderContext, T_world_board: Array, board:
         else np.float32(_BACK_GRAY)
     )
     part += coverage * (np.float32(light) * face - part)
-
-
-def _board_window(
-    context: RenderContext, T_board_camera: Array, size: tuple[float, float]
-) -> tuple[slice, slice] | None:
-    """The rows and columns of pixels that show the board, from the coarse grid."""
-    x, y = _intersect_board(context.rays[:, ::_COARSE_STEP, ::_COARSE_STEP], T_board_camera)
-    return _hit_window((np.abs(x) <= size[0] / 2) & (np.abs(y) <= size[1] / 2))
 
 
 def _hit_window(hit: NDArray[np.bool_]) -> tuple[slice, slice] | None:
@@ -223,7 +201,7 @@ def _sample_texture(board: PrintedBoard, x: Gray, y: Gray) -> Gray:
     return np.asarray(means * np.float32(1 / 255), dtype=np.float32)
 
 
-def _draw_solids(image: Gray, context: RenderContext, solids: Sequence[Solid]) -> None:
+def draw_solids(image: Gray, context: RenderContext, solids: Sequence[Visible]) -> None:
     """Draws solids over the image, in place, at the coarse resolution."""
     gray, ranges = _shade(context.coarse_rays, context.T_world_camera, solids)
     hit = np.isfinite(ranges)
@@ -237,7 +215,7 @@ def _draw_solids(image: Gray, context: RenderContext, solids: Sequence[Solid]) -
     part += _upsample(gray[coarse])[: part.shape[0], : part.shape[1]] - mask * part
 
 
-def _shade(directions: Array, T_world_camera: Array, solids: Sequence[Solid]) -> tuple[Array, Array]:
+def _shade(directions: Array, T_world_camera: Array, solids: Sequence[Visible]) -> tuple[Array, Array]:
     """Grey values of the solids that rays (rows, columns, 3) in the world frame hit, 0 for none; their ranges."""
     hits = cast_rays(solids, T_world_camera[None, :3, 3], directions.reshape(-1, 3))
     brightness = np.array([*(solid.brightness for solid in solids), 0.0])
@@ -311,7 +289,7 @@ _NOTHING = 1e3
 
 
 def simulate_depth_image(
-    sensor: MountedDepthCamera, solids: Sequence[Solid], stamp: float, rng: np.random.Generator
+    sensor: MountedDepthCamera, solids: Sequence[Visible], stamp: float, rng: np.random.Generator
 ) -> Image:
     """The depth image of a scene that stands still, in whole millimetres.
 
@@ -336,7 +314,7 @@ def simulate_depth_image(
     return Image(stamp, sensor.frame_id, picture, values)
 
 
-def _cast_depths(sensor: MountedDepthCamera, solids: Sequence[Solid]) -> Array:
+def _cast_depths(sensor: MountedDepthCamera, solids: Sequence[Visible]) -> Array:
     """(N,) true depths of all pixels, row by row, m."""
     camera = sensor.camera
     v, u = np.mgrid[: camera.height, : camera.width]

@@ -8,18 +8,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
 from calgraph.simulation.drive_scenario import DriveSensor, RangeErrors
-from calgraph.simulation.drive_surfaces import MovingBody, Surface, surface_normals
-from calgraph.simulation.drive_world import DriveWorld
+from calgraph.simulation.drive_world import DriveWorld, MovingBody
 from calgraph.simulation.scanners import add_mixed_pixels
+from calgraph.simulation.solids import Surface, cast_rays, surface_normals
 
 _GLASS_RETURNS, _GLASS_LOSES = 0.12, 0.1
 """Probabilities that a beam on glass measures the pane, or nothing; the others measure what is behind it."""
-_MAX_DEVIATION = np.radians(0.25)
-"""Of a beam from its nominal direction, rad: five standard deviations of the usual errors."""
 _MIN_RANGE = 0.3
 """Nearer returns are of the robot and are dropped by drivers, m."""
 
@@ -80,6 +77,17 @@ def beam_directions(azimuths: Array, elevations: Array) -> Array:
     )
 
 
+def spread_columns(sensor: DriveSensor) -> Array:
+    """(G,) azimuths of columns from the middle of the field, ascending, rad."""
+    count = round(sensor.sector / sensor.step) + 1
+    return np.asarray((np.arange(count) / (count - 1) - 0.5) * np.radians(sensor.sector))
+
+
+def spread_rings(sensor: DriveSensor) -> Array:
+    """(B,) elevations of beams over the largest."""
+    return np.linspace(-1, 1, sensor.rings) if sensor.rings > 1 else np.zeros(1)
+
+
 def sweep_columns(sensor: DriveSensor, centre: float, spin: float, starts: Array, period: float) -> Columns:
     """The columns (C * K) of the sweeps that start at ``starts`` (K,), s, in order.
 
@@ -90,7 +98,6 @@ def sweep_columns(sensor: DriveSensor, centre: float, spin: float, starts: Array
         starts: of the sweeps, s.
         period: of a turn, s.
     """
-    ring = np.linspace(-1, 1, sensor.rings) if sensor.rings > 1 else np.zeros(1)
     width = np.radians(sensor.sector)
     if sensor.kind == "solid_state":
         # Six lasers behind two prisms whose rates have no common period: no sweep is like the last.
@@ -99,12 +106,11 @@ def sweep_columns(sensor: DriveSensor, centre: float, spin: float, starts: Array
         azimuths = centre + width / 2 * np.sin(2 * np.pi * 7.31 * times) * np.cos(2 * np.pi * 1.77 * times)
         high = 0.8 * np.radians(sensor.elevation)
         middle = high * np.sin(2 * np.pi * 23.9 * times + 1.0)
-        return Columns(times, azimuths, middle[:, None] + 0.25 * high * ring)
-    count = round(sensor.sector / sensor.step) + 1
-    angles = (np.arange(count) / (count - 1) - 0.5) * width
+        return Columns(times, azimuths, middle[:, None] + 0.25 * high * spread_rings(sensor))
+    angles = spread_columns(sensor)
     times = (starts[:, None] + (angles - angles[0]) / (2 * np.pi) * period).ravel()
     azimuths = np.tile(centre + spin * angles, len(starts))
-    elevations = np.tile(np.radians(sensor.elevation) * ring, (len(times), 1))
+    elevations = np.tile(np.radians(sensor.elevation) * spread_rings(sensor), (len(times), 1))
     return Columns(times, azimuths, elevations)
 
 
@@ -139,9 +145,10 @@ def measure(
         rng: for the noise.
     """
     directions = turn_beams(T_world_sensor, columns, errors, own, rng)
-    hits, on_glass = cast_world(world.surfaces, T_world_sensor, columns, directions, sensor.max_range)
+    origins = np.repeat(T_world_sensor[:, :3, 3].T, columns.elevations.shape[1], axis=1)
+    hits, on_glass = cast_world(world.surfaces, origins, directions, sensor.max_range)
     for body in world.bodies:
-        _add_body(hits, body, T_world_sensor, columns, directions, sensor.max_range)
+        _add_body(hits, body, columns, origins, directions, sensor.max_range)
     return add_errors(hits, on_glass, columns, sensor, errors, own, rng)
 
 
@@ -157,12 +164,12 @@ def turn_beams(
 
 
 def cast_world(
-    surfaces: Sequence[Surface], T_world_sensor: Array, columns: Columns, directions: Array, max_range: float
+    surfaces: Sequence[Surface], origins: Array, directions: Array, max_range: float
 ) -> tuple[Hits, Hits]:
-    """What beams with directions (3, G * B) hit behind all glass, and the panes that they hit."""
+    """What beams hit behind all glass, and the panes that they hit; their origins are (3, 1) or (3, N)."""
     opaque, panes = ([one for one in surfaces if one.glass == glass] for glass in (False, True))
-    hits = _cast(opaque, T_world_sensor, columns, directions, max_range)
-    return hits, _cast(panes, T_world_sensor, columns, directions, max_range) if panes else hits
+    hits = _cast(opaque, origins, directions, max_range)
+    return hits, _cast(panes, origins, directions, max_range) if panes else hits
 
 
 def add_errors(
@@ -200,77 +207,12 @@ def add_errors(
     return np.where(kept, ranges, np.nan).reshape(shape)
 
 
-def _cast(
-    surfaces: Sequence[Surface], T_world_sensor: Array, columns: Columns, directions: Array, max_range: float
-) -> Hits:
-    """Hits of beams, whose directions are (3, G * B) in the world."""
-    beams = columns.elevations.shape[1]
-    near = _columns_near(surfaces, T_world_sensor, columns, max_range)
-    places = T_world_sensor[:, :3, 3].T
-    ranges = np.full(directions.shape[1], np.inf)
-    which = np.full(directions.shape[1], -1, dtype=np.int32)
-    by_column = directions.reshape(3, -1, beams)
-    for index, surface in enumerate(surfaces):
-        chosen = np.flatnonzero(near[index])
-        if not len(chosen):
-            continue
-        rays = (chosen[:, None] * beams + np.arange(beams)).ravel()
-        R, t = surface.T_world_shape[:3, :3], surface.T_world_shape[:3, 3:]
-        starts = np.repeat(R.T @ (places[:, chosen] - t), beams, axis=1)
-        distance = surface.shape.distance(starts, R.T @ by_column[:, chosen].reshape(3, -1))
-        closer = (distance < ranges[rays]) & (distance < max_range)
-        ranges[rays[closer]] = distance[closer]
-        which[rays[closer]] = index
-    return _describe_hits(surfaces, which, ranges, np.repeat(places, beams, axis=1), directions)
-
-
-def _columns_near(
-    surfaces: Sequence[Surface], T_world_sensor: Array, columns: Columns, max_range: float
-) -> NDArray[np.bool_]:
-    """(S, G) which columns may hit the bounding spheres of surfaces: of most surfaces few do."""
-    centres = np.stack([surface.T_world_shape[:3, 3] for surface in surfaces])
-    radii = np.array([[surface.shape.bounding_radius] for surface in surfaces])
-    low, high = columns.elevations.min(axis=1), columns.elevations.max(axis=1)
-    half = np.pi / 2
-    margin = radii + _MAX_DEVIATION * max_range
-    near = np.ones((len(surfaces), len(columns.times)), dtype=bool)
-    for sign, azimuth, elevation in (
-        (1.0, columns.azimuths + half, np.zeros_like(low)),
-        (-1.0, columns.azimuths + half, np.zeros_like(low)),
-        (1.0, columns.azimuths, high + half),
-        (1.0, columns.azimuths, low - half),
-        (-1.0, columns.azimuths, (low + high) / 2),
-    ):
-        outward = np.einsum("gij,gj->gi", T_world_sensor[:, :3, :3], beam_directions(azimuth, elevation))
-        beyond = centres @ outward.T - np.sum(outward * T_world_sensor[:, :3, 3], axis=1)
-        near &= sign * beyond <= margin
-    return near
-
-
-def _add_body(
-    hits: Hits, body: MovingBody, T_world_sensor: Array, columns: Columns, directions: Array, max_range: float
-) -> None:
-    """Puts the hits of a moving body among the others, in place."""
-    T_body_sensor = se3.inverse(body.poses(columns.times)) @ T_world_sensor
-    # Few columns come near to a body: only theirs are cast.
-    chosen = np.flatnonzero(_columns_near([body.bounds], T_body_sensor, columns, max_range)[0])
-    if not len(chosen):
-        return
-    beams = columns.elevations.shape[1]
-    rays = (chosen[:, None] * beams + np.arange(beams)).ravel()
-    R = T_body_sensor[chosen, :3, :3] @ np.swapaxes(T_world_sensor[chosen, :3, :3], 1, 2)
-    local = np.einsum("gij,jgb->igb", R, directions[:, rays].reshape(3, -1, beams)).reshape(3, -1)
-    part = Columns(columns.times[chosen], columns.azimuths[chosen], columns.elevations[chosen])
-    found = _cast(body.surfaces, T_body_sensor[chosen], part, local, max_range)
-    closer = found.ranges < hits.ranges[rays]
-    for of_all, of_body in zip(hits, found, strict=True):
-        of_all[rays[closer]] = of_body[closer]
-
-
-def _describe_hits(
-    surfaces: Sequence[Surface], which: NDArray[np.int32], ranges: Array, origins: Array, directions: Array
-) -> Hits:
-    """Hits with incidence and reflectivity from the surface (N,) that each beam hit, -1 for none."""
+def _cast(surfaces: Sequence[Surface], origins: Array, directions: Array, max_range: float) -> Hits:
+    """The hits of beams, with incidence and reflectivity of what they hit."""
+    found = cast_rays(surfaces, origins.T, directions.T)
+    ranges = np.where(found.ranges < max_range, found.ranges, np.inf)
+    which = np.where(np.isfinite(ranges), found.solid, -1)
+    origins = np.broadcast_to(origins, directions.shape)
     cosines, grey = np.ones(len(ranges)), np.full(len(ranges), 0.5)
     order = np.argsort(which, kind="stable")
     ends = np.searchsorted(which[order], np.arange(len(surfaces) + 1))
@@ -284,3 +226,25 @@ def _describe_hits(
         cosines[rays] = np.abs(np.sum(surface_normals(surface.shape, points) * d, axis=1))
         grey[rays] = surface.reflectivity
     return Hits(ranges, cosines, grey)
+
+
+def _add_body(
+    hits: Hits, body: MovingBody, columns: Columns, origins: Array, directions: Array, max_range: float
+) -> None:
+    """Puts the hits of a moving body among the others, in place."""
+    T_body_world = se3.inverse(body.poses(columns.times))
+    beams = columns.elevations.shape[1]
+    # Few beams come near to a body: only these are cast.
+    centre, radius = body.bounds
+    R, t = np.swapaxes(T_body_world[:, :3, :3], 1, 2), T_body_world[:, :3, 3]
+    away = np.repeat(np.einsum("gij,gj->ig", R, centre - t), beams, axis=1) - origins
+    along = np.sum(away * directions, axis=0)
+    rays = np.flatnonzero((np.sum(away**2, axis=0) - along**2 < radius**2) & (along > -radius))
+    if not len(rays):
+        return
+    T = T_body_world[rays // beams]
+    start = np.einsum("nij,jn->in", T[:, :3, :3], origins[:, rays]) + T[:, :3, 3].T
+    found = _cast(body.surfaces, start, np.einsum("nij,jn->in", T[:, :3, :3], directions[:, rays]), max_range)
+    closer = found.ranges < hits.ranges[rays]
+    for of_all, of_body in zip(hits, found, strict=True):
+        of_all[rays[closer]] = of_body[closer]

@@ -23,8 +23,7 @@ from calgraph.simulation.camera_render import (
 from calgraph.simulation.drive_boards import WallBoard
 from calgraph.simulation.drive_robot import DriveMount
 from calgraph.simulation.drive_simulation import SimulatedDrive
-from calgraph.simulation.drive_surfaces import Surface
-from calgraph.simulation.solids import Solid
+from calgraph.simulation.solids import Surface, cast_rays
 
 _TEXELS = 1000.0
 """Per metre of a board."""
@@ -43,24 +42,18 @@ def render_images(drive: SimulatedDrive, mount: DriveMount) -> Iterator[Image]:
     errors, clock = scenario.camera_errors, mount.clock
     camera = truth.boards.cameras[mount.sensor.name].true
     prints = [_paint(one) for one in truth.boards.boards]
-    solids = [
-        Solid(one.shape, one.T_world_shape, 40 + 180 * one.reflectivity)
-        for one in truth.world.surfaces
-        if not one.glass
-    ]
+    solids = [one for one in truth.world.surfaces if not one.glass]
     noise = draw_noise_pool(camera, _NOISE, rng)
     times = np.arange(clock.phase, scenario.duration, clock.period)
     stamps = scenario.start_time + clock.stamps(times) + rng.normal(0, errors.stamp_jitter, len(times))
     first = build_render_context(camera, np.eye(4), solids[:1], np.random.default_rng(scenario.seed))
-    # The boards come last.
-    others = truth.world.surfaces[: len(truth.world.surfaces) - len(prints)]
     for time, stamp in zip(times.tolist(), stamps.tolist(), strict=True):
         T = mount.poses(truth.motion, np.array([time]))[0]
         context = move_render_context(first, T, solids, np.random.default_rng(scenario.seed))
         seen = [
             (board, paint)
             for board, paint in zip(truth.boards.boards, prints, strict=True)
-            if _is_in_view(board, T, camera, others)
+            if _is_in_view(board, T, camera, truth.world.without_boards)
         ]
         image = _expose(context, seen, drive, mount, time) if seen else context.background.copy()
         yield Image(stamp, mount.sensor.name, noise.add(blur_image(image, _BLUR), rng))
@@ -84,12 +77,7 @@ def _is_in_view(board: WallBoard, T_world_camera: Array, camera: CameraModel, su
         return False
     away = points - place
     distance = np.linalg.norm(away, axis=1)
-    for surface in surfaces:
-        R, t = surface.T_world_shape[:3, :3], surface.T_world_shape[:3, 3:]
-        start = np.repeat(R.T @ (place[:, None] - t), len(points), axis=1)
-        if (surface.shape.distance(start, R.T @ (away / distance[:, None]).T) < distance - 0.1).any():
-            return False
-    return True
+    return not (cast_rays(surfaces, place[None], away / distance[:, None]).ranges < distance - 0.1).any()
 
 
 def _expose(

@@ -125,10 +125,7 @@ def _draw_mount(
     centre = rng.uniform(-np.pi, np.pi)
     direction, angle = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(0, sensor.max_tilt))
     tilt = angle * np.array([np.cos(direction), np.sin(direction), 0.0])
-    if sensor.upside_down:
-        R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing + centre])) @ np.diag([1.0, -1.0, -1.0])
-    else:
-        R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing - centre]))
+    R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing - centre]))
     if sensor.kind == "camera":
         R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing])) @ _OPTICAL
     if sensor.kind in ("trajectory", "gyroscope"):

@@ -106,8 +106,6 @@ class DriveSensor:
     """Largest tilt of its plane from the horizon."""
     max_range: float = 60.0
     """m."""
-    upside_down: bool = False
-    """Whether its z axis points down."""
 
 
 def _apart(count: int, sector: float) -> tuple[DriveSensor, ...]:
@@ -157,13 +155,11 @@ STANDARD_RIGS: dict[RigName, tuple[DriveSensor, ...]] = {
 
 
 @dataclass(frozen=True)
-class DriveFaults:
-    """What goes wrong in a drive."""
+class Faults:
+    """What goes wrong with one sensor."""
 
-    sensor: str = ""
-    """Which sensor the faults below concern; if empty the last that measures ranges, or the last of all."""
     time: float = 0.5
-    """When bump and jump occur, as a fraction of the drive."""
+    """When bump and jump occur, as a fraction of the recording."""
     bump: tuple[float, float] = (0.0, 0.0)
     """By how much it is displaced and rotated from then on, m and degrees."""
     clock_drift: float = 0.0
@@ -172,8 +168,12 @@ class DriveFaults:
     """By how much its clock is ahead from then on, s."""
     range_scale: float = 0.0
     """By how much its ranges are too long."""
-    pose_jumps: int = 0
-    """Number of jumps of the poses of other programs, as when they close a loop."""
+
+
+@dataclass(frozen=True)
+class DriveFaults(Faults):
+    """What goes wrong with the last sensor that measures ranges or takes images, or with the last of all."""
+
     truck: bool = False
     """Whether a truck drives beside the robot."""
 
@@ -221,18 +221,16 @@ class DriveScenario:
         """Checks the sensors.
 
         Raises:
-            InputError: names are not unique, or all are gyroscopes, or the fault's sensor is unknown.
+            InputError: names are not unique, or all are gyroscopes.
         """
         names = [sensor.name for sensor in self.sensors]
         if len(set(names)) < len(names) or all(sensor.kind == "gyroscope" for sensor in self.sensors):
             raise InputError(
                 f"a drive needs sensors with unique names, one at least that is no gyroscope, got {names}"
             )
-        if self.faults.sensor and self.faults.sensor not in names:
-            raise InputError(f"the faults concern {self.faults.sensor!r}, which is none of {names}")
 
     @property
     def faulty(self) -> str:
         """The sensor that faults concern."""
         seeing = [sensor.name for sensor in self.sensors if sensor.kind in (*RANGING, "camera")]
-        return self.faults.sensor or (seeing or [sensor.name for sensor in self.sensors])[-1]
+        return (seeing or [sensor.name for sensor in self.sensors])[-1]

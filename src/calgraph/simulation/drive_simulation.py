@@ -1,7 +1,7 @@
 """Simulation of a robot that drives: the messages of its sensors, and the ground truth."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,15 +11,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.recording.record_list import MessageRecording
 from calgraph.sensors import LaserScan, Message, PointCloud, Pose, TurnRate
 from calgraph.simulation.drive_beams import draw_scanner_errors, measure, sweep_columns
-from calgraph.simulation.drive_boards import (
-    DriveCamera,
-    SimulatedBoards,
-    SimulatedView,
-    board_surface,
-    detect_corners,
-    draw_camera,
-    hang_boards,
-)
+from calgraph.simulation.drive_boards import DriveCamera, SimulatedBoards, board_surface, draw_camera, hang_boards
 from calgraph.simulation.drive_motion import (
     INTERVAL,
     MARGIN,
@@ -76,12 +68,6 @@ class SimulatedDrive:
     messages: Mapping[str, Sequence[Message]]
     """Clouds with times and rings on ``/NAME/points``, scans on ``/NAME/scan``, poses of other programs on
     ``/NAME/odometry``, and rates of gyroscopes on ``/NAME/imu``."""
-    trajectories: Mapping[str, tuple[Array, Array]]
-    """By sensor, stamps (N,) of its clock, s, and poses (N, 4, 4) from its frame to a world frame that differs."""
-    rates: Mapping[str, tuple[Array, Array]]
-    """By gyroscope, stamps (N,) of its clock, s, and angular velocities (N, 3) in its frame, rad/s."""
-    corners: Mapping[str, list[SimulatedView]]
-    """By camera, what it would detect of boards."""
     truth: DriveTruth
 
     @property
@@ -123,42 +109,27 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
     world = build_world(kind, route, clearance, uneven, ramps, scenario.glass, world_rng)
     cars = scenario.cars if kind in ("hall", "yard") else 0
     bodies = draw_bodies(route, clearance, scenario.people, cars, scenario.faults.truck, body_rng)
-    world = DriveWorld(world.floor, world.surfaces, bodies)
+    world = replace(world, bodies=bodies)
     bounce = 0.0 if scenario.path == "planar" else scenario.bounce
     if scenario.path == "carried":
         motion = carry_motion(route, motion_rng)
     else:
         motion = draw_motion(route, world.ground_height, (0.6 * size[0], 0.8 * size[1]), bounce, motion_rng)
     boards = _draw_boards(scenario, route, mounts, world)
-    walls = world.surfaces
-    world = DriveWorld(world.floor, (*walls, *(board_surface(one) for one in boards.boards)), bodies)
-    corners: dict[str, list[SimulatedView]] = {}
+    world = replace(world, boards=tuple(board_surface(one) for one in boards.boards))
     messages: dict[str, Sequence[Message]] = {}
-    trajectories, rates = {}, {}
     for index, mount in enumerate(mounts):
         rng = np.random.default_rng((scenario.seed, 100 + index))
-        name = mount.sensor.name
         if mount.sensor.kind in RANGING:
             messages[topic_of(mount.sensor)] = _simulate_scanner(scenario, world, motion, mount, rng)
-        elif mount.sensor.kind == "camera":
-            corners[name] = detect_corners(scenario, mount, motion, boards, walls, rng)
         elif mount.sensor.kind == "odometry":
-            trajectories[name] = _simulate_odometry(scenario, route, mount, rng)
+            messages[topic_of(mount.sensor)] = _simulate_odometry(scenario, route, mount, rng)
         elif mount.sensor.kind == "trajectory":
-            trajectories[name] = _simulate_trajectory(scenario, motion, mount, rng)
-        else:
-            rates[name] = _simulate_gyroscope(scenario, motion, mount, rng)
-    for name, (stamps, poses) in trajectories.items():
-        quaternions = so3.quaternion(poses[:, :3, :3])
-        messages[f"/{name}/odometry"] = [
-            Pose(stamp, name, T[:3, 3], q) for stamp, T, q in zip(stamps.tolist(), poses, quaternions, strict=True)
-        ]
-    for name, (stamps, some) in rates.items():
-        messages[f"/{name}/imu"] = [
-            TurnRate(stamp, name, rate) for stamp, rate in zip(stamps.tolist(), some, strict=True)
-        ]
+            messages[topic_of(mount.sensor)] = _simulate_trajectory(scenario, motion, mount, rng)
+        elif mount.sensor.kind == "gyroscope":
+            messages[topic_of(mount.sensor)] = _simulate_gyroscope(scenario, motion, mount, rng)
     truth = _drive_truth(scenario, mounts, motion, world, boards)
-    return SimulatedDrive(scenario, truth.root, messages, trajectories, rates, corners, truth)
+    return SimulatedDrive(scenario, truth.root, messages, truth)
 
 
 def _draw_boards(
@@ -227,9 +198,18 @@ def _times_of(scenario: DriveScenario, mount: DriveMount) -> Array:
     return np.arange(mount.clock.phase, scenario.duration, mount.clock.period)
 
 
+def _make_poses(scenario: DriveScenario, mount: DriveMount, times: Array, poses: Array) -> list[Pose]:
+    """The messages of poses (N, 4, 4) at true times (N,), s."""
+    stamps, quaternions = scenario.start_time + mount.clock.stamps(times), so3.quaternion(poses[:, :3, :3])
+    return [
+        Pose(stamp, mount.sensor.name, T[:3, 3], q)
+        for stamp, T, q in zip(stamps.tolist(), poses, quaternions, strict=True)
+    ]
+
+
 def _simulate_odometry(
     scenario: DriveScenario, route: Route, mount: DriveMount, rng: np.random.Generator
-) -> tuple[Array, Array]:
+) -> list[Pose]:
     """Wheel odometry: planar poses of the base from wheel speeds, which are wrong by scale, slip and noise."""
     count = len(route.times)
     # Wheels' radii are wrong by a per cent, and tyres slip by half of one, more when the robot accelerates.
@@ -246,13 +226,13 @@ def _simulate_odometry(
     c, s = np.cos(yaws[start]), np.sin(yaws[start])
     place = np.stack([c * x + s * y, c * y - s * x, 0 * x], axis=-1)
     poses = se3.pose(so3.exp(yaw[:, None] * np.array([0.0, 0.0, 1.0])), place)
-    return scenario.start_time + mount.clock.stamps(times), poses
+    return _make_poses(scenario, mount, times, poses)
 
 
 def _simulate_trajectory(
     scenario: DriveScenario, motion: Motion, mount: DriveMount, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """The trajectory of another program: it drifts by 0.5 % of the way, has noise, and may jump."""
+) -> list[Pose]:
+    """The trajectory of another program: it drifts by 0.5 % of the way, and has noise."""
     times = _times_of(scenario, mount)
     true = mount.poses(motion, times)
     # Errors per step in the sensor's frame accumulate; noise of each pose does not.
@@ -262,20 +242,18 @@ def _simulate_trajectory(
         [np.interp(times[1:], motion.times, draw_drift(len(motion.times), 2.0, rng)) for _ in range(6)]
     )
     errors = drifts.T * np.repeat([0.005, 0.002], 3) * moved[:, None]
-    for at in rng.choice(len(errors), scenario.faults.pose_jumps, replace=False):
-        errors[at] += rng.normal(size=6) * np.repeat([0.1, 0.02], 3)
     poses = np.empty_like(true)
     poses[0] = se3.pose(so3.exp(rng.uniform(-np.pi, np.pi) * np.array([0.0, 0.0, 1.0])), rng.normal(0, 5, 3))
     wrong = se3.retract(step, errors)
     for k in range(len(step)):
         poses[k + 1] = poses[k] @ wrong[k]
     noise = rng.normal(size=(len(poses), 6)) * np.repeat([0.001, np.radians(0.01)], 3)
-    return scenario.start_time + mount.clock.stamps(times), se3.retract(poses, noise)
+    return _make_poses(scenario, mount, times, se3.retract(poses, noise))
 
 
 def _simulate_gyroscope(
     scenario: DriveScenario, motion: Motion, mount: DriveMount, rng: np.random.Generator
-) -> tuple[Array, Array]:
+) -> list[TurnRate]:
     """Angular velocities with bias, slow drift of the bias, error of scale, and noise of a cheap sensor."""
     times = _times_of(scenario, mount)
     R = np.where((times > mount.clock.fault)[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
@@ -284,7 +262,8 @@ def _simulate_gyroscope(
         [np.interp(times, motion.times, draw_drift(len(motion.times), 10.0, rng)) for _ in range(3)], axis=-1
     )
     rates = rates + rng.normal(0, 0.005, 3) + 2e-4 * wander + 0.003 * rng.normal(size=rates.shape)
-    return scenario.start_time + mount.clock.stamps(times), rates
+    stamps = scenario.start_time + mount.clock.stamps(times)
+    return [TurnRate(stamp, mount.sensor.name, rate) for stamp, rate in zip(stamps.tolist(), rates, strict=True)]
 
 
 def _drive_truth(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -9,8 +10,16 @@ from scipy.ndimage import gaussian_filter1d
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.simulation.drive_motion import INTERVAL, Route
-from calgraph.simulation.drive_surfaces import FrustumShape, MovingBody, ReliefShape, Shape, SphereShape, Surface
-from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape
+from calgraph.simulation.solids import (
+    BoxShape,
+    CylinderShape,
+    FrustumShape,
+    RectangleShape,
+    ReliefShape,
+    Shape,
+    SphereShape,
+    Surface,
+)
 
 WorldKind = Literal["room", "hall", "yard", "corridor", "field"]
 
@@ -53,14 +62,49 @@ _BODY_INTERVAL = 0.1
 
 
 @dataclass(frozen=True, eq=False)
+class MovingBody:
+    """Surfaces that move together, upright."""
+
+    surfaces: tuple[Surface, ...]
+    """In the body's frame: x ahead, z up, origin on the ground."""
+    times: Array
+    """(K,) s from the start of the recording."""
+    positions: Array
+    """(K, 3) of the origin, linear in between, m."""
+    yaws: Array
+    """(K,) continuous, linear in between, rad."""
+
+    @cached_property
+    def bounds(self) -> tuple[Array, float]:
+        """Centre (3,) and radius of a sphere in the body's frame that holds the body, m."""
+        places = np.array([surface.T_world_shape[:3, 3] for surface in self.surfaces])
+        centre = places.mean(axis=0)
+        reach = [surface.shape.bounding_radius for surface in self.surfaces]
+        return centre, float((np.linalg.norm(places - centre, axis=1) + reach).max())
+
+    def poses(self, times: Array) -> Array:
+        """(N, 4, 4) from its frame to the world."""
+        yaw = np.interp(times, self.times, self.yaws)
+        place = np.stack([np.interp(times, self.times, column) for column in self.positions.T], axis=-1)
+        return se3.pose(so3.exp(yaw[:, None] * np.array([0.0, 0.0, 1.0])), place)
+
+
+@dataclass(frozen=True, eq=False)
 class DriveWorld:
     """Surroundings and what moves in them; the world frame has z up and the floor at z = 0."""
 
     floor: ReliefShape
     """In the world frame."""
-    surfaces: tuple[Surface, ...]
-    """All that stand still, with the floor and the ramps."""
-    bodies: tuple[MovingBody, ...]
+    without_boards: tuple[Surface, ...]
+    """All that stand still but boards, with the floor and the ramps."""
+    bodies: tuple[MovingBody, ...] = ()
+    boards: tuple[Surface, ...] = ()
+    """On walls."""
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All that stand still."""
+        return (*self.without_boards, *self.boards)
 
     def ground_height(self, xy: Array) -> Array:
         """(N,) height of floor and ramps at (N, 2), m."""
@@ -112,7 +156,7 @@ def build_world(
     surfaces.append(Surface(floor, np.eye(4), rng.uniform(0.15, 0.5)))
     if ramps:
         surfaces += _draw_ramps(kind, route, rng)
-    return DriveWorld(floor, tuple(surfaces), ())
+    return DriveWorld(floor, tuple(surfaces))
 
 
 def build_walls(layout: Layout, bounds: Array, rng: np.random.Generator) -> list[Surface]:

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, Index
 from calgraph.simulation.drive_beams import Columns, Hits, ScannerErrors, add_errors, cast_world, turn_beams
 from calgraph.simulation.drive_scenario import DriveSensor, RangeErrors
-from calgraph.simulation.drive_surfaces import Surface
 from calgraph.simulation.hall_bodies import Mover, cast_mover
 from calgraph.simulation.hall_world import Hall
-from calgraph.simulation.solids import Solid, cast_rays
+from calgraph.simulation.solids import Surface, cast_rays
 
 _MARGIN = 0.25
 """By which a mover may be beside its place in the middle of a sweep, m: it drives or walks at up to 2.5 m/s."""
@@ -114,8 +113,8 @@ def _cast_still(
 ) -> _Still:
     poses = np.broadcast_to(T_world_sensor, (len(columns.times), 4, 4))
     directions = turn_beams(poses, columns, errors, own, rng)
-    hits, on_glass = cast_world(hall.surfaces, poses, columns, directions, sensor.max_range)
     origin, count = T_world_sensor[:3, 3], directions.shape[1]
+    hits, on_glass = cast_world(hall.surfaces, origin[:, None], directions, sensor.max_range)
     views = [_View(origin, np.arange(count), directions, np.zeros(count))]
     for mirror in hall.mirrors:
         views += _reflect(hall, mirror, hits, origin, directions)
@@ -132,8 +131,8 @@ def _reflect(hall: Hall, mirror: Surface, hits: Hits, origin: Array, directions:
         return []
     turned = directions[:, rays] - 2 * normal[:, None] * (normal @ directions[:, rays])
     starts = (origin[:, None] + first[rays] * directions[:, rays] + _SAME_POINT * turned).T
-    solids = [Solid(one.shape, one.T_world_shape) for one in hall.surfaces if not one.glass]
-    hits.ranges[rays] = first[rays] + cast_rays(solids, starts, turned.T).ranges
+    opaque = [one for one in hall.surfaces if not one.glass]
+    hits.ranges[rays] = first[rays] + cast_rays(opaque, starts, turned.T).ranges
     hits.cosines[rays] = _MIRROR_COSINE
     image = origin - 2 * normal * (normal @ (origin - t))
     return [_View(image, rays, turned, first[rays])]

@@ -6,12 +6,12 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3, so3
-from calgraph.simulation.drive_beams import Columns
+from calgraph.simulation.drive_beams import Columns, spread_columns, spread_rings
 from calgraph.simulation.drive_robot import DriveClock
 from calgraph.simulation.drive_scenario import DriveSensor
 from calgraph.simulation.hall_scenario import HallScenario
 from calgraph.simulation.hall_world import Hall
-from calgraph.simulation.solids import Solid, cast_rays
+from calgraph.simulation.solids import cast_rays
 
 _HEIGHTS, _HIGH = (2.0, 4.0), (4.0, 6.0)
 """Of LiDARs over the floor, m."""
@@ -98,17 +98,15 @@ def draw_clock(scenario: HallScenario, sensor: DriveSensor, root: bool, rng: np.
 
 def draw_columns(sensor: DriveSensor, period: float, rng: np.random.Generator) -> Columns:
     """The pattern of a sweep: columns from right to left, or from left to right."""
-    width = np.radians(sensor.sector)
-    count = round(sensor.sector / sensor.step) + 1
-    angles = (np.arange(count) / (count - 1) - 0.5) * width
+    angles = spread_columns(sensor)
+    count = len(angles)
     share = _TURN_TIME if sensor.kind == "solid_state" else sensor.sector / 360
     spin, begin = rng.choice([-1.0, 1.0]), rng.uniform(-np.pi, np.pi) * (sensor.kind == "lidar")
-    ring = np.linspace(-1, 1, sensor.rings) if sensor.rings > 1 else np.zeros(1)
     spin = 1.0 if sensor.kind == "scanner" else spin
     return Columns(
         np.arange(count) / (count - 1) * share * period,
         (begin + spin * angles + np.pi) % (2 * np.pi) - np.pi,
-        np.tile(np.radians(sensor.elevation) * ring, (count, 1)),
+        np.tile(np.radians(sensor.elevation) * spread_rings(sensor), (count, 1)),
     )
 
 
@@ -159,8 +157,9 @@ def _covers_middle(hall: Hall, sensor: DriveSensor, T_world_sensor: Array) -> bo
     elevation, azimuth = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
     away = points - T_world_sensor[:3, 3]
     distance = np.linalg.norm(away, axis=1)
-    solids = [Solid(one.shape, one.T_world_shape) for one in hall.surfaces if not one.glass]
-    hits = cast_rays(solids, T_world_sensor[None, :3, 3], away / distance[:, None])
+    hits = cast_rays(
+        [one for one in hall.surfaces if not one.glass], T_world_sensor[None, :3, 3], away / distance[:, None]
+    )
     within = (np.abs(elevation) < sensor.elevation) & (np.abs(azimuth) < sensor.sector / 2)
     visible = (within & (hits.ranges > distance - 0.05)).reshape(-1, 5)
     return bool(visible[:, 0].mean() > _MIN_FLOOR and visible[:, 1:].mean() > _MIN_PEOPLE)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from calgraph.geometry import Array
+from calgraph.simulation.drive_motion import draw_drift
 from calgraph.simulation.hall_bodies import Mover, Part, place_box, place_ellipsoid, place_limb
 from calgraph.simulation.network_people import ANKLE_HEIGHT, add_legs, draw_gait
 from calgraph.simulation.network_scenario import PeopleOptions
@@ -125,10 +126,7 @@ def _move_joints(
 
     def wander(stddev: float, seconds: float) -> Array:
         """(K,) slow random motion."""
-        samples = seconds / SAMPLE_INTERVAL
-        noise = gaussian_filter1d(rng.normal(size=count), samples, mode="wrap")
-        # White noise of variance 1 has 1 / (2 √π samples) after the filter.
-        return np.asarray(stddev * np.sqrt(2 * np.sqrt(np.pi) * samples) * noise)
+        return stddev * draw_drift(count, seconds, rng)
 
     # What people do beside walking: they shift their weight, and look around.
     yaw = walk.headings + wander(0.06, 1.5)
@@ -188,8 +186,8 @@ def _axes(yaw: Array) -> tuple[Array, Array]:
     return np.stack([c, s, zero]), np.stack([-s, c, zero])
 
 
-def _rotation(yaw: Array, pitch: float = 0.0) -> Array:
-    """(3, 3, G) with x ahead and down by the pitch."""
+def turn_body(yaw: Array, pitch: float = 0.0) -> Array:
+    """(3, 3, G) rotations with x ahead and down by the pitch, rad."""
     ahead, left = _axes(yaw)
     up = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), ahead.shape)
     c, s = np.cos(pitch), np.sin(pitch)
@@ -201,11 +199,11 @@ def _dress(body: Body, joints: Array, yaws: Array) -> list[Part]:
     H, g = body.stature, body.girth
     skin, top, bottom = body.greys
     pelvis_ahead, chest_ahead = _axes(yaws[0])[0], _axes(yaws[1])[0]
-    chest = _rotation(yaws[1], body.lean)
+    chest = turn_body(yaws[1], body.lean)
     pelvis, waist, neck, skull = joints[_PELVIS], joints[_WAIST_JOINT], joints[_NECK], joints[_HEAD]
     down = np.array([[0.0], [0.0], [-1.0]])
     parts = [
-        place_ellipsoid(_rotation(yaws[2], body.gaze), skull, body.head, skin),
+        place_ellipsoid(turn_body(yaws[2], body.gaze), skull, body.head, skin),
         place_limb(neck, skull, 0.062, 0.055, skin),
         place_limb(pelvis, waist, (0.118 * g, 0.17 * g), 0.145 * g, bottom, pelvis_ahead),
         place_limb(waist, neck + 0.06 * H * down, (0.11 * g, 0.14 * g), 0.165 * g, top, chest_ahead),
@@ -230,6 +228,6 @@ def _dress(body: Body, joints: Array, yaws: Array) -> list[Part]:
     elif body.bag == "side":
         left = _axes(yaws[0])[1]
         parts.append(
-            place_box(_rotation(yaws[0]), pelvis + 0.26 * g * left + 0.05 * down, (0.17, 0.06, 0.14), 0.2)
+            place_box(turn_body(yaws[0]), pelvis + 0.26 * g * left + 0.05 * down, (0.17, 0.06, 0.14), 0.2)
         )
     return parts

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from calgraph.errors import InputError
-from calgraph.simulation.drive_scenario import DriveSensor, RangeErrors
+from calgraph.simulation.drive_scenario import DriveSensor, Faults, RangeErrors
 
 LidarModel = Literal["vlp16", "xt32", "solid_state", "slow16"]
 LIDAR_MODELS: dict[LidarModel, DriveSensor] = {
@@ -24,23 +24,13 @@ HALL_ERRORS = RangeErrors(bias=0.012, ring_bias=0.006)
 
 
 @dataclass(frozen=True)
-class HallFaults:
+class HallFaults(Faults):
     """What is wrong; one thing at a time in benchmarks."""
 
     sensor: str = ""
     """Which sensor bump, swing, clock and scale concern; the last one if empty."""
-    time: float = 0.5
-    """When bump and jump occur, as a fraction of the recording."""
-    bump: tuple[float, float] = (0.0, 0.0)
-    """By how much it is displaced and rotated from then on, m and degrees."""
     swing: float = 0.0
     """Amplitude by which it swings about a horizontal axis, as on a long rod, degrees."""
-    clock_drift: float = 0.0
-    """By how much its clock runs fast."""
-    clock_jump: float = 0.0
-    """By how much its clock is ahead from then on, s."""
-    range_scale: float = 0.0
-    """By how much its ranges are too long."""
     false_returns: float = 0.0
     """Share of all beams that return from drops of water or dust before what they would hit."""
     ring_bias: float = 0.0
@@ -58,8 +48,6 @@ class HallScenario:
     """The first is the root."""
     scanners: tuple[float, ...] = ()
     """Heights of 2-D scanners over the floor, m."""
-    building: bool = False
-    """Whether it is a building of many bays with one LiDAR each, and not a hall; people are as many as fit it."""
     people: int = 3
     couples: int = 0
     """Pairs among them, who walk side by side."""

@@ -14,21 +14,25 @@ from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.io.text_writing import save_yaml
 from calgraph.recording.record_list import IndexedRecording
-from calgraph.recording.writer import RecordingWriter, serialize_message
+from calgraph.recording.writer import serialize_message
 from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
 from calgraph.simulation.drive_beams import Columns, draw_scanner_errors
 from calgraph.simulation.drive_scenario import DriveSensor
 from calgraph.simulation.hall_beams import simulate_sweeps
-from calgraph.simulation.hall_building import build_building, select_near
 from calgraph.simulation.hall_mounts import HallMount, mount_sensors
 from calgraph.simulation.hall_scenario import HallScenario
 from calgraph.simulation.hall_world import Hall, build_hall
-from calgraph.simulation.truth import GroundTruth, save_truth
+from calgraph.simulation.simulation_files import (
+    LATENCIES,
+    Progress,
+    SerializedMessage,
+    describe_rig,
+    write_simulation,
+)
+from calgraph.simulation.truth import GroundTruth
 
 _STAMP_JITTER, _LOST_MESSAGES = 0.0002, 0.002
 """Standard deviation of stamps, s, and probability that a message is not recorded, as in drives."""
-_LATENCIES = 0.002, 0.02
-"""From the end of a measurement to its arrival at the recorder, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ class SimulatedHall:
             beams = None if mount.sensor.kind == "scanner" else mount.columns.directions.reshape(-1, 3)
             for stamp, ranges in zip(self.stamps[name].tolist(), self.ranges[name], strict=True):
                 decode = partial(_read_message, stamp, name, mount.columns, beams, ranges)
-                arrival = stamp + delay + rng.uniform(*_LATENCIES)
+                arrival = stamp + delay + rng.uniform(*LATENCIES)
                 records.append(RecordedMessage(topic, stamp, arrival, decode))
         return IndexedRecording(Path("messages"), records, types)
 
@@ -111,15 +115,23 @@ def simulate_hall(scenario: HallScenario) -> SimulatedHall:
     Raises:
         InputError: there are too many people for the hall, or no place for a sensor.
     """
-    if scenario.building:
-        hall, mounts = build_building(scenario)
-    else:
-        hall = build_hall(scenario)
-        mounts = mount_sensors(scenario, hall, np.random.default_rng((scenario.seed, 10)))
+    hall = build_hall(scenario)
+    return simulate_sensors(
+        scenario, hall, mount_sensors(scenario, hall, np.random.default_rng((scenario.seed, 10)))
+    )
+
+
+def simulate_sensors(
+    scenario: HallScenario,
+    hall: Hall,
+    mounts: tuple[HallMount, ...],
+    select_near: Callable[[Hall, HallMount], Hall] = lambda hall, _: hall,
+) -> SimulatedHall:
+    """Simulates what sensors measure in a hall, or of the part of it that is near to each."""
     ranges, stamps = {}, {}
     for index, mount in enumerate(mounts):
         rng = np.random.default_rng((scenario.seed, 100 + index))
-        near = select_near(hall, mount) if scenario.building else hall
+        near = select_near(hall, mount)
         ranges[mount.sensor.name], stamps[mount.sensor.name] = _simulate_sensor(scenario, near, mount, rng)
     return SimulatedHall(scenario, ranges, stamps, _describe_truth(hall, mounts))
 
@@ -169,26 +181,23 @@ def _add_false_returns(ranges: NDArray[np.float32], share: float, rng: np.random
         row[rays] = np.minimum(np.nan_to_num(row[rays], nan=20.0), 0.5 + 15.0 * rng.random(len(rays)) ** 2)
 
 
-def record_hall(scenario: HallScenario, out: Path, progress: Callable[[int, int], None]) -> None:
+def record_hall(simulated: SimulatedHall, out: Path, progress: Progress) -> None:
     """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml``, ``out/truth.yaml`` and ``out/scenario.yaml``.
 
     Args:
-        scenario: hall, sensors and people.
+        simulated: what is written.
         out: folder, created if missing; it must not hold a recording yet.
         progress: called with the number of messages written, and with that in total.
 
     Raises:
-        InputError: there is no place for a person or a sensor, or a recording in ``out`` already.
+        InputError: there is a recording in ``out`` already.
     """
-    simulated = simulate_hall(scenario)
-    truth, store = simulated.truth, get_typestore(Stores.ROS2_HUMBLE)
+    scenario, truth, store = simulated.scenario, simulated.truth, get_typestore(Stores.ROS2_HUMBLE)
     total = sum(topic.count for topic in simulated.recording.topics)
-    with RecordingWriter(out / "recording") as writer:
-        for done, record in enumerate(simulated.recording.records(), start=1):
-            message = serialize_message(store, record.decode())
-            writer.write_serialized(record.topic, *message, round(1e9 * record.arrival))
-            progress(done, total)
-    rig = simulated.rig.model_dump(mode="json", exclude_none=True, exclude={"settings"})
-    save_yaml(out / "rig.yaml", rig)
-    save_truth(out / "truth.yaml", GroundTruth(truth.root, truth.T_root_sensor, (), truth.clock_offsets))
+    messages = (
+        SerializedMessage(round(1e9 * one.arrival), one.topic, *serialize_message(store, one.decode()))
+        for one in simulated.recording.records()
+    )
+    found = GroundTruth(truth.root, truth.T_root_sensor, (), truth.clock_offsets)
+    write_simulation(out, describe_rig(simulated.rig), found, messages, lambda done: progress(done, total))
     save_yaml(out / "scenario.yaml", asdict(scenario), f"seed: {scenario.seed}")

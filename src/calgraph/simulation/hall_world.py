@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.simulation.drive_surfaces import ReliefShape, Surface
 from calgraph.simulation.drive_world import Layout, build_relief, build_walls, upright
 from calgraph.simulation.hall_bodies import Mover, Part, place_box
-from calgraph.simulation.hall_people import add_person
+from calgraph.simulation.hall_people import add_person, turn_body
 from calgraph.simulation.hall_scenario import HallScenario
 from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space, rectangle
 from calgraph.simulation.network_people import form_parties, separate_people
 from calgraph.simulation.network_scenario import PeopleOptions
 from calgraph.simulation.network_walks import SAMPLE_INTERVAL, Party, SimulatedWalk, body_clearance, draw_walks
-from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape
+from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, ReliefShape, Surface
 
 _LENGTHS, _WIDTHS = (12.0, 25.0), (10.0, 18.0)
 """Of halls, m."""
@@ -232,19 +231,6 @@ def _draw_paths(
     return people, walks[len(parties) :]
 
 
-def _samples(walk: SimulatedWalk, times: Array) -> tuple[Array, Array]:
-    """Places (2, G) and headings (G,)."""
-    last = walk.start + SAMPLE_INTERVAL * (len(walk.positions) - 1)
-    places, headings = walk.pose_at(np.clip(times, walk.start, last - 1e-6))
-    return places.T, headings
-
-
-def _turn(yaw: Array) -> Array:
-    """(3, 3, G) about the vertical."""
-    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
-    return np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
-
-
 def _build_mover(
     pose: Callable[[Array], tuple[Array, Array]],
     boxes: list[tuple[tuple[float, float, float], tuple[float, float, float]]],
@@ -256,7 +242,7 @@ def _build_mover(
 
     def parts(times: Array) -> list[Part]:
         place, yaw = pose(times)
-        R = _turn(yaw)
+        R = turn_body(yaw)
         return [
             place_box(R, place + np.einsum("ijg,j->ig", R, np.array(middle)), size, grey) for middle, size in boxes
         ]
@@ -268,10 +254,11 @@ def _drive_cart(walk: SimulatedWalk, ground: Callable[[Array], Array], rng: np.r
     """A vehicle with a load and a mast."""
     length, width = np.array(_CART_SIZE) / 2
     load = rng.uniform(0.3, 0.7)
+    last = walk.start + SAMPLE_INTERVAL * (len(walk.positions) - 1)
 
     def pose(times: Array) -> tuple[Array, Array]:
-        places, yaw = _samples(walk, times)
-        return np.concatenate([places, [ground(places.T)]]), yaw
+        places, yaw = walk.pose_at(np.clip(times, walk.start, last - 1e-6))
+        return np.column_stack([places, ground(places)]).T, yaw
 
     boxes = [
         ((0.0, 0.0, 0.25), (float(length), float(width), 0.15)),

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
@@ -24,7 +23,6 @@ from calgraph.config import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, 
 from calgraph.config.settings import LimitSettings
 from calgraph.geometry import Array, se2, se3
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
-from calgraph.io.text_writing import save_yaml
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.kept_values import Kept
 from calgraph.recording.bag_files import BagFiles
@@ -39,7 +37,14 @@ from calgraph.simulation.network_scanners import StationaryScanner, build_scanne
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
 from calgraph.simulation.network_walks import BodyIndex, Party, SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.scanners import add_mixed_pixels
-from calgraph.simulation.truth import GroundTruth, PersonTruth, save_truth
+from calgraph.simulation.simulation_files import (
+    LATENCIES,
+    Progress,
+    SerializedMessage,
+    describe_rig,
+    write_simulation,
+)
+from calgraph.simulation.truth import GroundTruth, PersonTruth
 
 _BATCH = 500
 """Scans per batch, which bounds memory."""
@@ -261,23 +266,8 @@ def network_topic(name: str) -> str:
     return f"/{name}/scan"
 
 
-_LATENCY_RANGE = 0.002, 0.02
-"""Bounds of the time from the end of a scan to its arrival at the recorder, s."""
 _GROUP_SIZE = 16
 """Scanners that are simulated together: each takes some 7 MB then, and each group an open file later."""
-
-Progress = Callable[[int, int], None]
-
-
-class _Serialized(NamedTuple):
-    """A scan as the recording has it."""
-
-    arrival: int
-    """ns."""
-    topic: str
-    ros_type: str
-    data: bytes | memoryview
-    """CDR."""
 
 
 def simulate_network(
@@ -303,23 +293,26 @@ def simulate_network(
     groups = [scanners[k : k + _GROUP_SIZE] for k in scanners[::_GROUP_SIZE]]
     scans = sum(count_scans(scenario, scanner) for scanner in network.scanners)
     total = scans if len(groups) == 1 else 2 * scans
-    report = progress or _ignore
-    with (
-        RecordingWriter(out / "recording", scenario.max_file_duration) as writer,
-        _simulate_groups(network, groups, out / "recording", jobs, lambda done: report(done, total)) as streams,
-    ):
-        for done, message in enumerate(heapq.merge(*streams, key=lambda message: message.arrival), start=1):
-            writer.write_serialized(message.topic, message.ros_type, message.data, message.arrival)
-            report(total - scans + done, total)
-    rig = network_rig(network)
-    save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
-    save_truth(out / "truth.yaml", network_truth(network))
+
+    def report(done: int) -> None:
+        if progress:
+            progress(done, total)
+
+    with _simulate_groups(network, groups, out / "recording", jobs, report) as streams:
+        write_simulation(
+            out,
+            describe_rig(network_rig(network)),
+            network_truth(network),
+            heapq.merge(*streams, key=lambda message: message.arrival),
+            lambda done: report(total - scans + done),
+            scenario.max_file_duration,
+        )
 
 
 @contextmanager
 def _simulate_groups(
     network: SimulatedNetwork, groups: Sequence[range], recording: Path, jobs: int, report: Callable[[int], None]
-) -> Iterator[list[Iterable[_Serialized]]]:
+) -> Iterator[list[Iterable[SerializedMessage]]]:
     """The messages of each group of scanners in order; ``report`` hears of the scans simulated before."""
     if len(groups) == 1:
         yield [_simulate_group(network, groups[0])]
@@ -346,19 +339,19 @@ def _write_group(network: SimulatedNetwork, scanners: range, path: Path) -> int:
     return count
 
 
-def _read_group(path: Path, stack: ExitStack) -> Iterator[_Serialized]:
+def _read_group(path: Path, stack: ExitStack) -> Iterator[SerializedMessage]:
     bag = BagRecording(path, BagFiles((path / f"{path.name}.mcap",), ()), LimitSettings())
     stack.callback(bag.close)
     messages = bag.raw_messages([topic.name for topic in bag.topics])
-    return (_Serialized(one.arrival, one.topic, one.definition.name, one.data) for one in messages)
+    return (SerializedMessage(one.arrival, one.topic, one.definition.name, one.data) for one in messages)
 
 
-def _simulate_group(network: SimulatedNetwork, scanners: range) -> Iterator[_Serialized]:
+def _simulate_group(network: SimulatedNetwork, scanners: range) -> Iterator[SerializedMessage]:
     """The messages of some scanners, by number, in order of arrival."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     streams = [_simulate_arrivals(network, number) for number in scanners]
     for arrival, name, scan in heapq.merge(*streams, key=lambda item: item[0]):
-        yield _Serialized(round(arrival * 1e9), network_topic(name), *serialize_message(store, scan))
+        yield SerializedMessage(round(arrival * 1e9), network_topic(name), *serialize_message(store, scan))
 
 
 def _simulate_arrivals(network: SimulatedNetwork, number: int) -> Iterator[tuple[float, str, LaserScan]]:
@@ -368,9 +361,5 @@ def _simulate_arrivals(network: SimulatedNetwork, number: int) -> Iterator[tuple
     latest = 0.0
     for scan in simulate_scans(network, scanner):
         done = scan.stamp - scanner.clock_offset + scan.duration
-        latest = max(latest, done + delays.uniform(*_LATENCY_RANGE))
+        latest = max(latest, done + delays.uniform(*LATENCIES))
         yield latest, scanner.name, scan
-
-
-def _ignore(_done: int, _total: int) -> None:
-    """Hears of progress and does nothing."""

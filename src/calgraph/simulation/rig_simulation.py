@@ -1,37 +1,32 @@
 """Simulation of a rig recording: messages, rig.yaml and ground truth."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config import CameraSpec, Capture, Lidar2dSpec, Lidar3dSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.geometry import Array
-from calgraph.io.text_writing import save_yaml
-from calgraph.recording.writer import RecordingWriter
+from calgraph.recording.writer import serialize_message
 from calgraph.sensors import CameraInfo, Message, Trigger
 from calgraph.sensors.kinds import DepthCameraSpec, DepthNoise
 from calgraph.simulation.rig_scenario import RigScenario
 from calgraph.simulation.robot import MountedCamera, MountedDepthCamera, RobotSensor
-from calgraph.simulation.truth import save_truth
+from calgraph.simulation.simulation_files import (
+    LATENCIES,
+    Progress,
+    SerializedMessage,
+    describe_rig,
+    write_simulation,
+)
 from calgraph.simulation.world import World, build_world, ground_truth, simulate_measurement
 
-Progress = Callable[[int, int], None]
-"""Called with the number of messages written and in total."""
-
 TRIGGER_TOPIC = "/trigger"
-
-_LATENCY_RANGE = 0.002, 0.02
-"""Bounds of the time from the end of a measurement to its arrival at the recorder, s."""
+_WITH_LENS = MountedCamera, MountedDepthCamera
 
 
-def simulate_rig(
-    scenario: RigScenario,
-    out: Path,
-    seed: int = 0,
-    progress: Progress | None = None,
-    robot: tuple[RobotSensor, ...] = (),
-) -> None:
+def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Progress | None = None) -> None:
     """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml`` and ``out/truth.yaml``.
 
     Args:
@@ -39,35 +34,30 @@ def simulate_rig(
         out: folder, created if missing; it must not hold a recording yet.
         seed: the same seed and scenario give the same files.
         progress: called with the number of messages written and in total.
-        robot: see :func:`calgraph.simulation.world.build_world`.
 
     Raises:
         InputError: the scenario contradicts itself, or there is a recording in ``out`` already.
     """
-    write_rig(build_world(scenario, seed, robot=robot), out, progress)
+    write_rig(build_world(scenario, seed), out, progress)
 
 
 def write_rig(world: World, out: Path, progress: Progress | None = None) -> None:
     """Writes the files of :func:`simulate_rig` of a world.
 
-    Args:
-        world: robot, room and board.
-        out: folder, created if missing.
-        progress: called with the number of messages written and in total.
-
     Raises:
         InputError: there is a recording in ``out`` already.
     """
-    arrivals = _schedule_messages(world)
-    with RecordingWriter(out / "recording") as writer:
-        for done, (arrival, sensor, index) in enumerate(arrivals):
-            for topic, message in _messages_of_event(world, sensor, index):
-                writer.write(topic, message, arrival, encoding=world.scenario.camera.encoding)
-            if progress is not None:
-                progress(done + 1, len(arrivals))
-    rig = world_rig(world)
-    save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
-    save_truth(out / "truth.yaml", ground_truth(world))
+    events, store = _schedule_messages(world), get_typestore(Stores.ROS2_HUMBLE)
+    total = sum(2 if isinstance(sensor, _WITH_LENS) else 1 for _, sensor, _ in events)
+    messages = (
+        SerializedMessage(
+            round(1e9 * arrival), topic, *serialize_message(store, message, world.scenario.camera.encoding)
+        )
+        for arrival, sensor, index in events
+        for topic, message in _messages_of_event(world, sensor, index)
+    )
+    rig = describe_rig(world_rig(world))
+    write_simulation(out, rig, ground_truth(world), messages, lambda done: progress and progress(done, total))
 
 
 def world_rig(world: World) -> Rig:
@@ -127,7 +117,7 @@ def _schedule_messages(world: World) -> list[tuple[float, RobotSensor | None, in
     events: list[tuple[float, RobotSensor | None, int]] = []
     for k, sensor in enumerate(world.robot):
         indices = sensor.clock.within(0, world.trajectory.end)
-        delays = np.random.default_rng((world.seed, 1 + k)).uniform(*_LATENCY_RANGE, len(indices))
+        delays = np.random.default_rng((world.seed, 1 + k)).uniform(*LATENCIES, len(indices))
         ends: Array = sensor.clock.start(0) + sensor.clock.period * np.array(indices) + sensor.clock.duration
         events += [(float(t0 + t), sensor, i) for t, i in zip(ends + delays, indices, strict=True)]
     if world.scenario.trigger:
@@ -143,5 +133,5 @@ def _messages_of_event(world: World, sensor: RobotSensor | None, index: int) -> 
         return
     message = simulate_measurement(world, sensor, index)
     yield topic_of(sensor, world.scenario), message
-    if isinstance(sensor, MountedCamera | MountedDepthCamera):
+    if isinstance(sensor, _WITH_LENS):
         yield _info_topic(sensor), CameraInfo(message.stamp, sensor.frame_id, sensor.camera)

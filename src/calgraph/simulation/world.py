@@ -22,8 +22,9 @@ from calgraph.simulation.camera_render import (
     blur_image,
     build_render_context,
     build_texture_pyramid,
-    draw_board_and_operator,
+    draw_board,
     draw_noise_pool,
+    draw_solids,
     render_board_texture,
     simulate_depth_image,
 )
@@ -130,7 +131,7 @@ def simulate_measurement(world: World, sensor: RobotSensor, index: int) -> Messa
 
 def ground_truth(world: World) -> GroundTruth:
     """The true poses of sensors and boards."""
-    T_root_world = _T_root_world(world)
+    T_root_world = se3.inverse(next(s.T_world_sensor for s in world.robot if s.name == world.root))
     sensors = {s.name: T_root_world @ s.T_world_sensor for s in world.robot}
     sensors[world.root] = np.eye(4)
     t0 = world.scenario.start_time
@@ -144,10 +145,6 @@ def ground_truth(world: World) -> GroundTruth:
         for h in world.trajectory.holds
     )
     return GroundTruth(world.root, sensors, boards)
-
-
-def _T_root_world(world: World) -> Array:
-    return se3.inverse(next(s.T_world_sensor for s in world.robot if s.name == world.root))
 
 
 def _scene_between(world: World, start: float, end: float) -> list[tuple[float, tuple[Solid, ...]]]:
@@ -222,7 +219,8 @@ def _render_boards(
     shown = [(pose_from_placement(at), board, operator_solids(at, board.size)) for at, board in placed]
     eye = context.T_world_camera[:3, 3]
     for T_world_board, board, person in sorted(shown, key=lambda s: -float(np.linalg.norm(s[0][:3, 3] - eye))):
-        draw_board_and_operator(image, context, T_world_board, board, person)
+        draw_solids(image, context, person)
+        draw_board(image, context, T_world_board, board)
     return blur_image(image, scenario.camera.blur)
 
 

@@ -1,4 +1,4 @@
-"""A floor of many equal bays with a 3-D LiDAR in each, for networks of a whole building.
+"""Simulated floors of many equal bays with a 3-D LiDAR in each, for networks of a whole building.
 
 Walls with openings, columns, furniture and walks are those of the planar grid; all is upright on a level floor.
 """
@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.simulation.drive_surfaces import Surface
 from calgraph.simulation.drive_world import upright
 from calgraph.simulation.hall_mounts import HallMount, draw_clock, draw_columns
 from calgraph.simulation.hall_people import add_person
 from calgraph.simulation.hall_scenario import HallScenario
+from calgraph.simulation.hall_simulation import SimulatedHall, simulate_sensors
 from calgraph.simulation.hall_world import Hall
 from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_scenario import NetworkScenario, PeopleOptions
 from calgraph.simulation.network_simulation import build_network
-from calgraph.simulation.solids import BoxShape
+from calgraph.simulation.solids import BoxShape, Surface
 
 _SPACING, _CEILING, _FURNITURE = 7.0, 5.0, (0.5, 1.8)
 """Of LiDARs; heights of the ceiling and of furniture, m."""
@@ -27,6 +27,16 @@ _HEIGHTS, _TILTS, _ROLL = (3.0, 4.0), (12.0, 22.0), 4.0
 """Of LiDARs over the floor, m; their tilts from the vertical, and the standard deviation of rolls, degrees."""
 _POST, _WALL = 0.5, 0.16
 """Edge of a column, and thickness of walls at most, m: what is as thick reaches to the ceiling."""
+
+
+def simulate_building(scenario: HallScenario) -> SimulatedHall:
+    """Simulates a recording; people are as many as fit the building.
+
+    Raises:
+        InputError: there are too many people for it.
+    """
+    hall, mounts = build_building(scenario)
+    return simulate_sensors(scenario, hall, mounts, select_near)
 
 
 def build_building(scenario: HallScenario) -> tuple[Hall, tuple[HallMount, ...]]:
