@@ -35,7 +35,7 @@ from calgraph.verdict.grades import grade_pose
 from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_draws import draw_errors
 from rig_errors import ModelErrors
-from simulated import poses_of
+from simulated_captures import poses_of
 from worlds import Layout, grouped, make_parser, mean, rms, run_worlds
 
 IDEAL = "ideal"

@@ -43,7 +43,6 @@ import cv2
 from calgraph.parallel.engine import Processes
 from frozen_differences import compare
 from frozen_networks import list_network_problems
-from frozen_options import list_option_problems
 from frozen_recordings import MissingDataError, list_recording_problems
 from frozen_rigs import Make, list_rig_problems
 from frozen_texts import describe, describe_error
@@ -80,7 +79,7 @@ def main() -> None:
 def list_problems() -> Mapping[str, Make]:
     """All problems by name."""
     problems: dict[str, Make] = {}
-    for source in (list_rig_problems, list_option_problems, list_network_problems, list_recording_problems):
+    for source in (list_rig_problems, list_network_problems, list_recording_problems):
         for name, make in source():
             assert name not in problems, name
             problems[name] = make

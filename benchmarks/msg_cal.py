@@ -21,7 +21,7 @@ from calgraph.rig.pairs.rig_initialization import initialize_rig
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.published.hypergraph import HypergraphSolution, solve_hypergraph
 from calgraph.simulation import RigScenario
-from simulated import detected, errors, poses_of
+from simulated_captures import detected, errors, poses_of
 from worlds import NAN, make_parser, run_worlds
 
 VARIANTS = ("pairwise", "global", "global, from identity", "global, unfiltered", "default")

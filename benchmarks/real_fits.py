@@ -21,6 +21,8 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly, so
 class Fit:
     """Calibration from some captures."""
 
+    captures: CaptureSet
+    """As given."""
     problem: Problem
     joint: RigSolution
 
@@ -33,7 +35,7 @@ class Fit:
 def fit_captures(rig: Rig, captures: CaptureSet) -> Fit:
     """Calibrates through the library."""
     problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
-    return Fit(problem, solve_jointly(problem)[0])
+    return Fit(captures, problem, solve_jointly(problem)[0])
 
 
 def cross_covariance(a: RigSolution, b: RigSolution, sensor: str) -> Array:

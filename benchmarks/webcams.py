@@ -246,7 +246,7 @@ def main() -> None:
     all_frames = read_frames(rig, stamps=not arguments.unstamped)
     frames = list(all_frames)
     every = fit_captures(rig, all_frames.captures())
-    views = sum(len(found) for found in every.problem.captures.detections.values())
+    views = sum(len(found) for found in every.captures.detections.values())
     print(f"{len(frames)} frames, {views} views, {len(every.joint.rejected)} rejected by the joint solution")
     for sensor in every.calibration.sensors:
         stddev = np.sqrt(np.diag(sensor.covariance))
@@ -258,7 +258,7 @@ def main() -> None:
         print(f"{name}: no pose: {reason}")
     print("".join(f"remark: {remark}\n" for remark in every.calibration.evidence.remarks), end="")
     print(f"{'':32} {'':10} {'':7} sigmas: worst axis, Mahalanobis")
-    plain = fit_by_least_squares(rig, every.problem.captures, every.joint.T_root_sensor)
+    plain = fit_by_least_squares(rig, every.captures, every.joint.T_root_sensor)
     show_deviations("plain least squares", plain, every)
     show_deviations("published", published_poses(rig), every)
     halves = {
@@ -278,12 +278,12 @@ def main() -> None:
             for name, reason in half.calibration.evidence.unconnected.items():
                 print(f"{title:22} {name}: no pose: {reason}")
         for fitted, other in ((a, b), (b, a)):
-            ls = fit_by_least_squares(rig, fitted.problem.captures, fitted.joint.T_root_sensor)
+            ls = fit_by_least_squares(rig, fitted.captures, fitted.joint.T_root_sensor)
             held_out.append(
                 (
                     title,
-                    held_out_error(rig, other.problem.captures, fitted.joint.T_root_sensor, fitted),
-                    held_out_error(rig, other.problem.captures, ls, None),
+                    held_out_error(rig, other.captures, fitted.joint.T_root_sensor, fitted),
+                    held_out_error(rig, other.captures, ls, None),
                 )
             )
     print("Held-out reprojection error, px: calgraph, plain least squares")

@@ -61,7 +61,7 @@ def answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Captu
             done = CliRunner().invoke(app, [part.format(recording=recording.name) for part in command])
             assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
             lines = done.stderr.splitlines()
-            assert [line for line in lines if not line.startswith(("calgraph: ", "Wrote "))] == []
+            assert [line for line in lines if line and not line.startswith(("calgraph: ", "Wrote "))] == []
             # What is not calibrated may be in the tables of standard output.
             text = done.stderr + (done.stdout if done.exit_code == 1 else "")
             assert done.exit_code == 0 or (done.exit_code in (1, 2) and any(name in text for name in names)), text

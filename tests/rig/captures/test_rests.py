@@ -7,6 +7,7 @@ import pytest
 
 from calgraph.config import Capture
 from calgraph.config.settings import CaptureSettings
+from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.rests import find_noise, find_rests
@@ -100,6 +101,13 @@ def test_people_behind_the_board_do_not_end_a_rest_that_another_sensor_sees(seed
 def test_a_view_that_changes_by_half_all_the_time_never_rests() -> None:
     stamps = np.arange(0, 20, 0.1)
     assert rests_of(camera=SensorTimes(stamps, 0.0, np.full(len(stamps), 0.6), baseline=BASELINE)) == []
+
+
+def test_stamps_a_year_ahead_are_named() -> None:
+    stamps = np.append(np.arange(0, 20, 0.1), 365 * 86400.0)
+    late = SensorTimes(stamps, 0.0, np.zeros(len(stamps)), baseline=BASELINE)
+    with pytest.raises(CalibrationError, match=r"^camera: its last stamp is 365 days after the first one"):
+        rests_of(camera=late)
 
 
 def test_a_view_that_never_changes_rests_all_the_time() -> None:

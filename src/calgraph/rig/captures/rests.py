@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from calgraph.config.settings import CaptureSettings
+from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.motion_detection import JITTER, MIN_ACTIVITY
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
 
 # Length of the cells of time that have one state each, s: no sensor but fast scanners resolves less.
 _CELL = 0.05
+# Longest recording that is searched, s: a clock that is set a year ahead would take gigabytes of cells.
+_MAX_DURATION = 100_000.0
 # Bounds of the bins (base 10) in which activities are counted; noise of a view scatters by one bin.
 _BINS = np.arange(-3.75, 0.01, 0.25)
 # Messages that a distribution starts from, which are spread as those of both states together: a few of one state
@@ -93,16 +96,28 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
 
     Returns:
         Start and end of each rest, s, in order of time.
+
+    Raises:
+        CalibrationError: stamps are days apart.
     """
-    fast = [
-        times
-        for times in (one.with_content() for one in timeline.sensors.values())
+    found = {name: one.with_content() for name, one in timeline.sensors.items()}
+    names = [
+        name
+        for name, times in found.items()
         if times.period <= MAX_MOTION_PERIOD and len(times.stamps) > 2 and np.ptp(times.stamps) > 0
     ]
-    if not fast:
+    if not names:
         return []
+    fast = [found[name] for name in names]
     start = min(float(times.stamps[0]) for times in fast)
-    cells = int(np.ceil((max(float(times.stamps[-1]) + times.duration for times in fast) - start) / _CELL)) + 1
+    ends = [float(times.stamps[-1]) + times.duration for times in fast]
+    duration = max(ends) - start
+    if duration > _MAX_DURATION:
+        raise CalibrationError(
+            f"{names[int(np.argmax(ends))]}: its last stamp is {duration / 86400:.0f} days after the first one of "
+            "the recording, too long for a search of the board's rests: correct or remove such messages"
+        )
+    cells = int(np.ceil(duration / _CELL)) + 1
     # A message compares with one up to a baseline before: its activity shows motion in all that time.
     baseline = max(times.baseline for times in fast)
     sensors = [_make_votes(times, start, cells, baseline) for times in fast]
