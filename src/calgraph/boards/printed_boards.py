@@ -231,8 +231,8 @@ def _format_ids(ids: Sequence[int]) -> str:
 def explain_exposure(grays: Sequence[Gray]) -> str:
     """Why images without any detection are unusable: too dark, or blank; otherwise empty."""
     values = np.arange(256)
-    # Percentile and deviation of a histogram take a fifth of the time that those of the pixels do.
-    counts = [cv2.calcHist([gray], [0], None, [256], [0, 256]).ravel().astype(np.float64) for gray in grays]
+    # Percentile and deviation of a histogram take a fifth of the time that those of the pixels do; so do few rows.
+    counts = [cv2.calcHist([gray[::8]], [0], None, [256], [0, 256]).ravel().astype(np.float64) for gray in grays]
     brightest = max(float(values[np.searchsorted(np.cumsum(n), 0.99 * n.sum())]) for n in counts)
     if brightest < _DARK:
         return f" (the image is too dark: 99 % of it below grey value {brightest:.0f})"

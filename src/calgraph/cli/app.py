@@ -24,8 +24,8 @@ from calgraph.errors import CalgraphError, CalibrationError, InputError
 _BROKEN_PIPE = 128 + 13
 """Exit code as shells give it for SIGPIPE."""
 # Objects between two searches for reference cycles, which find none worth their time while modules are loaded: by
-# default, they take a tenth of it. At some 100 bytes an object, these are 5 MB.
-_ALLOCATIONS_PER_COLLECTION = 50_000
+# default, they take a tenth of it. At some 100 bytes an object, these are 20 MB.
+_ALLOCATIONS_PER_COLLECTION = 200_000
 # mallopt(3): bytes of freed memory at the end of the heap that are kept, and of an array that has separate memory.
 # By default, glibc returns arrays above 128 kB to the system, which clears memory for the next one: 150,000 page
 # faults, half a second, in a rig's calibration. The most memory in use stays the same.

@@ -7,7 +7,7 @@ from pydantic_core import PydanticCustomError
 class StrictModel(BaseModel):
     """A frozen settings record that rejects unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 def invalid(key: str, message: str) -> PydanticCustomError:

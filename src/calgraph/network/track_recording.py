@@ -156,8 +156,9 @@ def _track_unread(
     """
     counts = {topic.name: topic.count for topic in recording.topics}
     scans = [counts.get(rig.topics[name], 0) for name in names]
-    # A cluster may have lost all workers for a moment.
-    engine, batches = options.engine, _BATCHES_PER_WORKER * max(options.engine.workers, 1)
+    # A cluster may have lost all workers for a moment; a single one waits for no other.
+    engine, workers = options.engine, options.engine.workers
+    batches = 1 if workers == 1 else _BATCHES_PER_WORKER * max(workers, 1)
     if sum(scans) < _MIN_DIVIDED_SCANS:
         engine, batches = THIS_PROCESS, 1
     limit = min(_MAX_SCANS_IN_MEMORY, -(-sum(scans) // batches))
