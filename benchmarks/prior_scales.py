@@ -6,11 +6,12 @@ python benchmarks/prior_scales.py --worlds changing --true 1 --stated 1 --captur
 Worlds are those of ``model_errors.py --draw``: all systematic errors are drawn from their priors, times a true
 scale, and rig.yaml states priors times a stated one. *Changing* worlds also have view biases and changes of poses.
 
-By worlds, captures and scales: mean NEES of the poses; what it is expected to be; mean shares of the budget's
-sources in the published covariance C (``trace(inv(C) @ part) / 6``); RMS errors; poses off by more than 5 standard
-deviations along or about an axis; confidently wrong ones, as in model_errors.py; and weak ones. Expected is the
-sum of the shares of what a world has, of priors times the squared ratio of true and stated scale. ``groups`` are
-priors of many parameters of one kind (distortion, rings, places of tags), and ``priors`` all others.
+By worlds, captures and scales: mean NEES of the poses; what it is expected to be; NEES with the covariance of
+those sources only that the world has; mean shares of the budget's sources in the published covariance C
+(``trace(inv(C) @ part) / 6``); RMS errors; poses off by more than 5 standard deviations along or about an axis;
+confidently wrong ones, as in model_errors.py; and weak ones. Expected is the sum of the shares of what a world
+has, of priors times the squared ratio of true and stated scale. ``groups`` are priors of many parameters of one
+kind (distortion, rings, places of tags), and ``priors`` all others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,6 +31,8 @@ from worlds import Layout, find_errors, grouped, make_parser, mean, rms, run_wor
 
 RESTING, CHANGING = "resting", "changing"
 PARTS = "noise", "priors", "groups", "views", "edges", "drift"
+PRESENT: Mapping[str, Sequence[int]] = {RESTING: (0, 1, 2), CHANGING: (0, 1, 2, 3, 5)}
+"""Indices of the parts that are in the worlds."""
 PART_OF: Mapping[str, str] = {
     "noise": "noise",
     **dict.fromkeys(("distortion", "ring biases", "tag places"), "groups"),
@@ -39,8 +42,8 @@ PART_OF: Mapping[str, str] = {
 }
 """The part that kinds of sources belong to; others are priors."""
 TABLE = Layout(
-    "worlds:9 captures:8g true:4g stated:6g poses:5d NEES:5.2f expected:8.2f noise:5.2f priors:6.2f groups:6.2f "
-    "views:5.2f edges:5.2f drift:5.2f mm:6.2f deg:6.3f >5σ:3d conf:4d weak:4d"
+    "worlds:9 captures:8g true:4g stated:6g poses:5d NEES:5.2f expected:8.2f present:7.2f noise:5.2f priors:6.2f "
+    "groups:6.2f views:5.2f edges:5.2f drift:5.2f mm:6.2f deg:6.3f >5σ:3d conf:4d weak:4d"
 )
 
 
@@ -58,6 +61,8 @@ class Row:
     seed: int
     sensor: str
     nees: float
+    present: float
+    """NEES with the covariance of what is in the world."""
     shares: Array
     """(6,) of the parts in the covariance."""
     metres: float
@@ -69,8 +74,8 @@ class Row:
     @property
     def expected(self) -> float:
         """The NEES if noise and priors are as drawn."""
-        priors, changes = (self.true / self.stated) ** 2, self.worlds == CHANGING
-        return float(self.shares @ [1.0, priors, priors, changes, 0.0, changes])
+        scale = (self.true / self.stated) ** 2
+        return float((self.shares * [1.0, scale, scale, 1.0, 1.0, 1.0])[list(PRESENT[self.worlds])].sum())
 
 
 def main() -> None:
@@ -108,26 +113,28 @@ def measure(worlds: str, captures: int, true: float, stated: float, rig: str, se
     rows = []
     for name, error in find_errors(found, truth.T_root_sensor).items():
         k = next(i for i, sensor in enumerate(found.sensors) if sensor.name == name)
-        sensor, far = found.sensors[k], is_confidently_wrong(found.sensors[k], error)
+        sensor, parts = found.sensors[k], split_covariance(found, k)
+        of_world = parts[list(PRESENT[worlds])].sum(axis=0)
         rows.append(
             Row(
-                worlds, captures, true, stated, rig, seed, name, error.nees, share_covariance(found, k),
-                error.metres, error.degrees, error.sigmas, far, sensor.verdict.grade != "good",
+                worlds, captures, true, stated, rig, seed, name,
+                error.nees, float(error.axes @ np.linalg.solve(of_world, error.axes)) / 6,
+                np.einsum("ij,pji->p", np.linalg.inv(sensor.covariance), parts) / 6,
+                error.metres, error.degrees, error.sigmas,
+                is_confidently_wrong(sensor, error), sensor.verdict.grade != "good",
             )
         )  # fmt: skip
     return rows
 
 
-def share_covariance(found: Calibration, sensor: int) -> Array:
-    """(6,) shares of the parts in the covariance of a pose."""
+def split_covariance(found: Calibration, sensor: int) -> Array:
+    """(6, 6, 6) parts of the covariance of a pose."""
     assert found.budget is not None
     assert found.budget.covariance is not None
-    rows, shares = slice(6 * sensor, 6 * sensor + 6), np.zeros(len(PARTS))
-    inverse = np.linalg.inv(found.sensors[sensor].covariance)
+    rows, parts = slice(6 * sensor, 6 * sensor + 6), np.zeros((len(PARTS), 6, 6))
     for source, covariance in zip(found.budget.sources, found.budget.covariance, strict=True):
-        part = PART_OF.get(source.kind, "priors")
-        shares[PARTS.index(part)] += np.trace(inverse @ covariance[rows, rows]) / 6
-    return shares
+        parts[PARTS.index(PART_OF.get(source.kind, "priors"))] += covariance[rows, rows]
+    return parts
 
 
 def show(rows: Sequence[Row]) -> None:
@@ -137,7 +144,7 @@ def show(rows: Sequence[Row]) -> None:
         print(
             TABLE.line(
                 *label, len(group), mean([row.nees for row in group]), mean([row.expected for row in group]),
-                *np.mean([row.shares for row in group], axis=0),
+                mean([row.present for row in group]), *np.mean([row.shares for row in group], axis=0),
                 1000 * rms([row.metres for row in group]), rms([row.degrees for row in group]),
                 sum(row.sigmas > MAX_SIGMAS for row in group), sum(row.confidently_wrong for row in group),
                 sum(row.weak for row in group),
