@@ -1,26 +1,70 @@
 """Systematic errors drawn from the priors that rig.yaml states by default, for model_errors.py."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
+from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 from calgraph.simulation import World, world_rig
 from calgraph.simulation.robot import MountedCamera, MountedScanner
 from model_error_rigs import cameras_of, ring_count, scanners_of
-from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
+from rig_errors import BoardErrors, Bump, CameraErrors, ModelErrors, ScannerErrors
 
 
-def draw_errors(world: World, rng: np.random.Generator) -> ModelErrors:
-    """Every systematic error from its prior in rig.yaml, with the default standard deviations."""
-    rig = world_rig(world)
+def draw_errors(world: World, rng: np.random.Generator, scale: float = 1.0) -> ModelErrors:
+    """Every systematic error from its prior in rig.yaml, with ``scale`` times the default standard deviations."""
+    rig = scale_uncertainty(world_rig(world), scale)
     return ModelErrors(
         _draw_board_errors(rig.boards[0], rng),
         cameras={camera.name: _draw_camera_errors(camera, rig, rng) for camera in cameras_of(world)},
         scanners={scanner.name: _draw_scanner_errors(scanner, rig, rng) for scanner in scanners_of(world)},
     )
+
+
+# Usual view bias of rig/bundle/variance_components.py, m; a tilt displaces the edges of the board by as much.
+_VIEW_BIAS = 0.0015
+# Small drifts, m and rad, and multiples of a large one, as in rig/checks/drift_tests.py and its settings.
+_SMALL_DRIFT = 1e-4, float(np.radians(0.01))
+_LARGE_MULTIPLES = 5.0, 100.0
+
+
+def draw_changes(world: World, errors: ModelErrors, rng: np.random.Generator) -> ModelErrors:
+    """The errors with view biases and changes of all poses, drawn from what the covariance of a rig assumes.
+
+    All sensors drift or are bumped a little. One of them may be so by much, in place, direction or both; that none
+    is, and that a certain one is, are equally likely. Edges of the board have no bias from view to view.
+    """
+    lever = max(world.scenario.board.size) / 2
+    large = int(rng.integers(-1, len(world.robot)))
+    parts = np.array([(True, True), (False, True), (True, False)])[rng.integers(3)]
+    multiple = np.exp(rng.uniform(*np.log(_LARGE_MULTIPLES)))
+    drifts, time = rng.random() < 0.5, float(rng.integers(2, 5)) / 6
+    after, duration = (0.0, 1.0) if drifts else (time, 0.0)
+    bumps = {}
+    for k, sensor in enumerate(world.robot):
+        sizes = np.where(parts & (k == large), multiple, 1.0) * _SMALL_DRIFT
+        translation, rotation = (tuple(rng.normal(0, size, 3).tolist()) for size in sizes)
+        bumps[sensor.name] = Bump(after, duration, translation, rotation)
+    return ModelErrors(
+        replace(errors.board, view_bias=_VIEW_BIAS, view_tilt=_VIEW_BIAS / lever),
+        {name: replace(one, bump=bumps[name]) for name, one in errors.cameras.items()},
+        {name: replace(one, bump=bumps[name]) for name, one in errors.scanners.items()},
+    )
+
+
+def scale_uncertainty(rig: Rig, factor: float) -> Rig:
+    """The rig with other standard deviations of the systematic errors of its sensors and its board."""
+
+    def scale(part: SensorSpec | Board) -> dict[str, Any]:
+        scaled = {name: factor * value for name, value in part.uncertainty if isinstance(value, float)}
+        return {"uncertainty": part.uncertainty.model_copy(update=scaled)}
+
+    sensors = {name: spec.model_copy(update=scale(spec)) for name, spec in rig.sensors.items()}
+    boards = tuple(board.model_copy(update=scale(board)) for board in rig.boards)
+    return rig.model_copy(update={"sensors": sensors, "target": boards[0] if len(boards) == 1 else boards})
 
 
 def _draw_board_errors(board: Board, rng: np.random.Generator) -> BoardErrors:

@@ -20,13 +20,12 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.config import Board, Rig, SensorSpec
+from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.result import SensorPose
 from calgraph.rig.captures.detect import CaptureSet
@@ -34,7 +33,7 @@ from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import GroundTruth, World
 from ideal_detections import simulate_detections
-from model_error_draws import draw_errors
+from model_error_draws import draw_errors, scale_uncertainty
 from model_error_kinds import KINDS, MODELLED, Wrong, cases, wrong_world
 from model_error_rigs import SCENARIOS, rig_world
 from worlds import (
@@ -145,18 +144,6 @@ def run(rig: str, kind: str, size: float, seed: int, *, stated: float = 1.0) -> 
         return None
     description, captured, truth = detected
     return judge((rig, kind, size, seed), scale_uncertainty(description, stated), captured, truth)
-
-
-def scale_uncertainty(rig: Rig, factor: float) -> Rig:
-    """The rig with other standard deviations of the systematic errors of its sensors and its board."""
-
-    def scale(part: SensorSpec | Board) -> dict[str, Any]:
-        scaled = {name: factor * value for name, value in part.uncertainty if isinstance(value, float)}
-        return {"uncertainty": part.uncertainty.model_copy(update=scaled)}
-
-    sensors = {name: spec.model_copy(update=scale(spec)) for name, spec in rig.sensors.items()}
-    boards = tuple(board.model_copy(update=scale(board)) for board in rig.boards)
-    return rig.model_copy(update={"sensors": sensors, "target": boards[0] if len(boards) == 1 else boards})
 
 
 def detect(rig: str, kind: str, size: float, seed: int) -> tuple[Rig, CaptureSet, GroundTruth] | None:
