@@ -183,9 +183,9 @@ def find_true_poses(name: str) -> Mapping[str, Array] | None:
     """``T_root_sensor`` (4, 4) by sensor where a problem has them."""
     make: Any = list_problems()[name]
     if name.startswith("model_errors/"):
-        rig, *error, seed = make.args
         # A tremor is of the board alone: its poses are those of the right world.
-        detected = detect(rig, *(error if len(error) > 1 else (RIGHT, 0.0)), seed)
+        rig, kind, size, seed = make.args if len(make.args) > 3 else (make.args[0], RIGHT, 0.0, make.args[-1])
+        detected = detect(rig, kind, size, seed)
         return None if detected is None else detected[2].T_root_sensor
     if name.startswith("random_rigs/"):
         (seed,), options = make.args, make.keywords
