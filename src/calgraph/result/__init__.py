@@ -37,10 +37,10 @@ from calgraph.result.pictures import (
     Snapshot,
     colorize_from_snapshots,
 )
-from calgraph.result.pose_table import to_dataframe
 from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.sensor_pose import BaseFrame, SensorPose, StatedPose, Verdict
+from calgraph.result.table import to_dataframe
 
 __all__ = [
     "FORMATS", "BaseFrame", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction",
