@@ -34,7 +34,7 @@ def describe_rig(rig: Rig) -> dict[str, Any]:
 def write_simulation(
     out: Path,
     rig: dict[str, Any],
-    truth: GroundTruth,
+    ground_truth: GroundTruth,
     messages: Iterable[SerializedMessage],
     progress: Callable[[int], object],
     max_file_duration: float = 0.0,
@@ -44,7 +44,7 @@ def write_simulation(
     Args:
         out: folder, created if missing; it must not hold a recording yet.
         rig: content of rig.yaml.
-        truth: the ground truth.
+        ground_truth: what truth.yaml states.
         messages: in order of arrival; they are asked for when the recording has been begun.
         progress: called with the number of messages written.
         max_file_duration: see :class:`calgraph.recording.writer.RecordingWriter`, s.
@@ -57,4 +57,4 @@ def write_simulation(
             writer.write_serialized(message.topic, message.ros_type, message.data, message.arrival)
             progress(done)
     save_yaml(out / "rig.yaml", rig)
-    save_truth(out / "truth.yaml", truth)
+    save_truth(out / "truth.yaml", ground_truth)
