@@ -43,7 +43,7 @@ def test_outliers_of_pairs_that_agree_with_the_bundle_return(detected: DetectedR
     shared = {c for name in by_sensor if name != sensor for c in by_sensor[name]}
     missing = {(c, sensor, 0) for c in EXCLUDED if c in by_sensor[sensor] and c in shared}
     assert joint.used is not None
-    assert missing <= joint.used
+    assert missing <= joint.used.keys()
     complete = detected.solve()
     assert joint.solved_bundle is not None
     assert complete.solved_bundle is not None
@@ -67,6 +67,9 @@ def test_outliers_that_contradict_the_bundle_stay_out(detected: DetectedRig) -> 
         return detection
 
     joint = solve_without(detected.map_detections(slip), "camera", EXCLUDED)
+    assert joint.used is not None
+    used = {capture for capture, name, _ in joint.used if name == "camera"}
+    assert used & set(EXCLUDED) == (set(EXCLUDED) - set(slipped)) & set(by_capture)
     assert {capture for capture, name in joint.rejected if name == "camera"} == set(slipped) & set(by_capture)
 
 

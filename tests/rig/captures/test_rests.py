@@ -106,7 +106,7 @@ def test_a_view_that_changes_by_half_all_the_time_never_rests() -> None:
 def test_stamps_a_year_ahead_are_named() -> None:
     stamps = np.append(np.arange(0, 20, 0.1), 365 * 86400.0)
     late = SensorTimes(stamps, 0.0, np.zeros(len(stamps)), baseline=BASELINE)
-    with pytest.raises(CalibrationError, match=r"^camera: its last stamp is 365 days after the first one"):
+    with pytest.raises(CalibrationError, match=r"^camera: its last stamp is 365.0 days after the first one"):
         rests_of(camera=late)
 
 

@@ -61,6 +61,7 @@ def assemble(
     parents: Mapping[str, str],
     rejected: Mapping[tuple[int, str], str] | None = None,
     *,
+    used: Mapping[tuple[int, str, int], int] | None = None,
     converged: bool = True,
 ) -> Calibration:
     """Of the sensors that have a parent, and the root."""
@@ -68,13 +69,6 @@ def assemble(
     T = {name: detected.T_root_sensor[name] for name in names}
     covariance = np.diag(np.repeat([STDDEV[name] for name in names], 6) ** 2)
     tree = SpanningTree("lidar", parents, T)
-    used = None
-    if rejected is not None:
-        inliers = [
-            (e, k) for e in pairs.values() if isinstance(e, PairwiseEstimate) for k in e.matches[e.inliers, 0]
-        ]
-        ends = {(int(k), name) for e, k in inliers for name in (e.sensor_a, e.sensor_b)} - rejected.keys()
-        used = frozenset((k, name, 0) for k, name in ends)
     solution = RigSolution("bundle", T, covariance, {}, converged, used=used, rejected=rejected or {})
     return assemble_rig(Problem(detected.rig, detected.captures, pairs, tree, SolverOptions()), tree, solution)
 
@@ -96,9 +90,9 @@ def row(calibration: Calibration, capture: int, sensor: str) -> CaptureRow:
 def test_a_row_has_the_residuals_of_all_pairs_of_its_sensor(detected: DetectedRig) -> None:
     calibration = assemble(detected, all_pairs(detected, {("camera", "laser_front"): (1,)}), CONNECTED)
     found = [row(calibration, k, name) for k in (0, 1) for name in ("lidar", "camera", "laser_front")]
-    rms = np.array([np.hypot(0.003, 0.004), np.hypot(0.003, 0.012), np.hypot(0.004, 0.012)]) / np.sqrt(2)
-    # The detections of capture 1 are used, as other pairs have them as inliers.
-    assert [r.residual for r in found] == pytest.approx([*rms, *rms])
+    rms = [np.hypot(0.003, 0.004), np.hypot(0.003, 0.012), np.hypot(0.004, 0.012)]
+    expected = [*(np.array(rms) / np.sqrt(2)), rms[0] / np.sqrt(2), 0.003, 0.004]
+    assert [r.residual for r in found] == pytest.approx(expected)
     assert all(r.used and r.reason == "" for r in found)
 
 
@@ -113,9 +107,13 @@ def test_a_row_states_why_its_detection_was_not_used(detected: DetectedRig) -> N
     missing = {(1, "laser_front"): "no line", (4, "lidar"): "no plane", (4, "laser_front"): "no line"}
     partial = replace(detected, captures=without(detected.captures, missing))
     outliers = {("lidar", "laser_front"): (2,), ("camera", "laser_front"): (2,)}
-    calibration = assemble(
-        partial, all_pairs(partial, outliers), CONNECTED, {(3, "camera"): "outlier of the bundle"}
-    )
+    rejected = {(3, "camera"): "outlier of the bundle"}
+    views = {(k, name) for name, found in partial.captures.detections.items() for k in found} - {
+        *missing,
+        *rejected,
+    }
+    used = {(k, name, 0): k for k, name in views - {(2, "laser_front"), (4, "camera")}}
+    calibration = assemble(partial, all_pairs(partial, outliers), CONNECTED, rejected, used=used)
     expected = {
         (1, "laser_front"): "no line",
         (2, "laser_front"): "outlier with respect to the other sensors",
@@ -126,6 +124,20 @@ def test_a_row_states_why_its_detection_was_not_used(detected: DetectedRig) -> N
         found = row(calibration, capture, sensor)
         assert (found.used, found.reason, found.residual) == (False, reason, None)
     assert row(calibration, 2, "camera").used
+
+
+def test_distances_between_two_boards_are_no_residuals(detected: DetectedRig) -> None:
+    twice = {
+        name: {k: (*of, *of) for k, of in found.items()} for name, found in detected.captures.detections.items()
+    }
+    matches = np.array([(0, 0, 0), (0, 1, 1), (0, 0, 1), (0, 1, 0)], dtype=np.intp)
+    inliers, residuals = np.array([True, False, False, False]), np.array([0.003, 0.005, 1.0, 1.0])
+    T_a_b = detected.T_root_sensor["camera"]
+    pair = PairwiseEstimate("lidar", "camera", T_a_b, np.eye(6), matches, inliers, residuals)
+    used = {(0, name, k): k for name in ("lidar", "camera") for k in (0, 1)}
+    two_boards = replace(detected, captures=replace(detected.captures, detections=twice))
+    calibration = assemble(two_boards, {("lidar", "camera"): pair}, {"camera": "lidar"}, used=used)
+    assert row(calibration, 0, "camera").residual == pytest.approx(np.hypot(0.003, 0.005) / np.sqrt(2))
 
 
 def test_a_sensor_without_a_relative_pose_has_no_outliers(detected: DetectedRig) -> None:

@@ -10,7 +10,7 @@ from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.checks.assemble import (
-    InlierResiduals,
+    UsedResiduals,
     _subsample_measurements,
     collect_board_outlines,
     collect_board_views,
@@ -30,17 +30,17 @@ def joint(one: DetectedRig) -> RigSolution:
 
 
 @pytest.fixture(scope="module")
-def used(one: DetectedRig) -> InlierResiduals:
+def used(one: DetectedRig) -> UsedResiduals:
     return {(n, name): {0: [0.0]} for name, by in one.captures.detections.items() for n in by}
 
 
 @pytest.fixture(scope="module")
-def views(one: DetectedRig, used: InlierResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
+def views(one: DetectedRig, used: UsedResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
     return collect_board_views(one.captures, used, joint)
 
 
 @pytest.fixture(scope="module")
-def outlines(one: DetectedRig, used: InlierResiduals, joint: RigSolution) -> tuple[BoardOutline, ...]:
+def outlines(one: DetectedRig, used: UsedResiduals, joint: RigSolution) -> tuple[BoardOutline, ...]:
     return collect_board_outlines(one.rig, one.captures, used, joint)
 
 
@@ -86,7 +86,7 @@ def test_points_are_off_by_their_noise_on_both_sides(views: tuple[BoardView, ...
 
 
 def test_distances_are_positive_beyond_the_board_as_viewed_from_the_scanner(
-    one: DetectedRig, used: InlierResiduals
+    one: DetectedRig, used: UsedResiduals
 ) -> None:
     """With exact scanners: of others, the estimated errors of ranges are subtracted before."""
     exact = one.without_systematic_errors()
@@ -121,7 +121,7 @@ def test_sheets_are_where_the_board_was(one: DetectedRig, outlines: tuple[BoardO
 
 
 def test_boards_that_no_camera_detected_have_the_rectangle_of_the_scanners_points(
-    one: DetectedRig, used: InlierResiduals, joint: RigSolution
+    one: DetectedRig, used: UsedResiduals, joint: RigSolution
 ) -> None:
     """In the board's plane, with its centre and about its area; its axes are those of the points."""
     of_lidar = {view: found for view, found in used.items() if view[1] == "lidar"}
@@ -139,9 +139,7 @@ def test_boards_that_no_camera_detected_have_the_rectangle_of_the_scanners_point
         assert 0.6 * area < np.linalg.norm(along) * np.linalg.norm(across) < 1.4 * area
 
 
-def test_without_a_bundle_nothing_is_predicted(
-    one: DetectedRig, used: InlierResiduals, joint: RigSolution
-) -> None:
+def test_without_a_bundle_nothing_is_predicted(one: DetectedRig, used: UsedResiduals, joint: RigSolution) -> None:
     other = replace(joint, solved_bundle=None, estimator="hypergraph")
     views = collect_board_views(one.captures, used, other)
     assert all(v.used and v.residuals is None for v in views)

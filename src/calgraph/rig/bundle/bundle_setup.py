@@ -59,7 +59,8 @@ def build_bundle(
 
 def update_noise(bundle: Bundle, state: BundleState, scales: Sequence[float] | None = None) -> Bundle:
     """The bundle with the noise of its measurements at this state, and with other scales (K,) of it if given."""
-    scales = scales or [views.noise_scale for views in bundle.all_views]
+    if scales is None:
+        scales = [views.noise_scale for views in bundle.all_views]
     return bundle.with_views([
         views.update_noise(view_state(bundle, state, k)[0], scale)
         for k, (views, scale) in enumerate(zip(bundle.all_views, scales, strict=True))

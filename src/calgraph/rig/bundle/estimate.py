@@ -43,13 +43,13 @@ class SettledBundle:
     boards: Sequence[BoardObservation]
     """(C,) as detected, with views that are not kept."""
 
-    def nodes(self) -> frozenset[Node]:
-        """The detections that are kept."""
-        return frozenset(
-            (self.boards[i].capture, name, self.boards[i].detection_index[name])
+    def nodes(self) -> dict[Node, int]:
+        """The detections that are kept, with the index of their board."""
+        return {
+            (self.boards[i].capture, name, self.boards[i].detection_index[name]): i
             for name, views in zip(self.bundle.sensors, self.bundle.views, strict=True)
             for i in views.board.tolist()
-        )
+        }
 
 
 # Rounds of solving, estimating noise and rejecting views, without outlines: of 38 rigs of the frozen corpus, 32

@@ -41,7 +41,7 @@ class SolvedBundle:
 
     @property
     def order(self) -> Index:
-        """(C,) the place of each board's capture among them in time, from 0."""
+        """(C,) the rank of each board's capture in time, from 0."""
         return np.unique(self.captures, return_inverse=True)[1]
 
 
@@ -58,10 +58,10 @@ class RigSolution:
     residuals: Mapping[str, Array]
     """Whitened residuals by sensor, or by kind of edge."""
     converged: bool
-    used: frozenset[Node] | None = None
-    """The detections that were used; None for an estimator that uses the inliers of pairs."""
+    used: Mapping[Node, int] | None = None
+    """The detections that were used, with a number of their board; None if these are the inliers of pairs."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
-    """By capture and sensor, why none of the detections is used that the estimator judged."""
+    """By capture and sensor, why none of its detections is used, where the estimator judged one."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
     """By sensor, where it was estimated."""
     systematic: tuple[EstimatedParameter, ...] = ()

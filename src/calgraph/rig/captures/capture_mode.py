@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import Capture, CaptureMode
 from calgraph.config.settings import CaptureSettings
-from calgraph.errors import RecordingError
+from calgraph.errors import CalibrationError, RecordingError
 from calgraph.geometry import Array
 from calgraph.recording import Recording
 from calgraph.rig.captures.motion_detection import BASELINE, ActivityMeter
@@ -255,14 +255,15 @@ def recognize_recording(
         empty_end: end of the time without board at the start, s.
 
     Returns:
-        The mode; None for fewer than two sensors, or if a message is damaged, which reading all of them reports.
+        The mode; None for fewer than two sensors, or if a message is damaged or a stamp days from the others,
+        which reading all of them reports.
     """
     if len(topics) < 2:
         return None
     names = {topic: topic for topic in topics}
-    start, is_small = recording.start, sum(topic.count for topic in recording.topics) <= _MAX_MESSAGES
-    end = recording.end if is_small else start + _DURATION
     try:
+        start, is_small = recording.start, sum(topic.count for topic in recording.topics) <= _MAX_MESSAGES
+        end = recording.end if is_small else start + _DURATION
         timeline = build_timeline(recording.records(topics, start, end), start, names, None)
         mode = recognize_mode(timeline, Capture(), settings)
         if mode.mode == "snapshots":
@@ -270,5 +271,5 @@ def recognize_recording(
         meters = {topic: ActivityMeter(BASELINE) for topic in topics}
         records = recording.records(topics, start + empty_end, end)
         return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)
-    except RecordingError:
+    except (RecordingError, CalibrationError):
         return None

@@ -113,9 +113,10 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
     ends = [float(times.stamps[-1]) + times.duration for times in fast]
     duration = max(ends) - start
     if duration > _MAX_DURATION:
+        first = names[int(np.argmin([times.stamps[0] for times in fast]))]
         raise CalibrationError(
-            f"{names[int(np.argmax(ends))]}: its last stamp is {duration / 86400:.0f} days after the first one of "
-            "the recording, too long for a search of the board's rests: correct or remove such messages"
+            f"{names[int(np.argmax(ends))]}: its last stamp is {duration / 86400:.1f} days after the first one of "
+            f"{first}, too long for a search of the board's rests: correct or remove the messages that are wrong"
         )
     cells = int(np.ceil(duration / _CELL)) + 1
     # A message compares with one up to a baseline before: its activity shows motion in all that time.

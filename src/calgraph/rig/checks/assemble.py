@@ -58,8 +58,8 @@ from calgraph.verdict.grades import (
     select_reasons,
 )
 
-InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
-"""By capture and sensor, residuals of its inlier matches, by candidate, m."""
+UsedResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
+"""By capture and sensor, residuals of the matches between its used detections and others, by candidate, m."""
 
 _NOT_CONVERGED = (
     "the joint solution has not converged; check target and intrinsics in rig.yaml, and record more captures"
@@ -69,9 +69,7 @@ _NOT_CONVERGED = (
 _MAX_POINTS = 300
 
 
-def collect_board_views(
-    captures: CaptureSet, used: InlierResiduals, solution: RigSolution
-) -> tuple[BoardView, ...]:
+def collect_board_views(captures: CaptureSet, used: UsedResiduals, solution: RigSolution) -> tuple[BoardView, ...]:
     """The measurements of each sensor in each capture: those in the bundle, otherwise the first detection."""
     solved = [_subsample_view(view) for view in _views_of_bundle(solution)]
     shown = {(view.capture, view.sensor) for view in solved}
@@ -105,7 +103,7 @@ def measure_fit(solution: RigSolution) -> dict[str, FitError]:
 
 
 def collect_board_outlines(
-    rig: Rig, captures: CaptureSet, used: InlierResiduals, solution: RigSolution
+    rig: Rig, captures: CaptureSet, used: UsedResiduals, solution: RigSolution
 ) -> tuple[BoardOutline, ...]:
     """The board of each capture: as estimated by the bundle, otherwise as detected by a camera or 3-D LiDAR."""
     solved = list(_outlines_of_bundle(rig, captures, solution.solved_bundle)) if solution.solved_bundle else []
@@ -169,7 +167,7 @@ def _board_number(found: Sequence[Detection], pixel: Array) -> int:
 
 
 def _detected_outline(
-    rig: Rig, captures: CaptureSet, used: InlierResiduals, solution: RigSolution, capture: int
+    rig: Rig, captures: CaptureSet, used: UsedResiduals, solution: RigSolution, capture: int
 ) -> BoardOutline | None:
     """The board of one capture as detected by a camera, otherwise by a 3-D LiDAR; None without either."""
     detections: list[tuple[Array, Detection]] = [
@@ -366,19 +364,18 @@ def _assemble_edge(
     return Edge(*names, common, len(residuals), in_tree=tree.has_edge(*names), residuals=residuals)
 
 
-def _used_residuals(estimates: Sequence[PairwiseEstimate], solution: RigSolution) -> InlierResiduals:
-    """By capture and sensor of the detections that are used: residuals of their matches, by candidate."""
-    nodes = solution.used
-    if nodes is None:
-        nodes = frozenset(end for e in estimates for row in e.matches[e.inliers].tolist() for end in _ends(e, row))
+def _used_residuals(estimates: Sequence[PairwiseEstimate], solution: RigSolution) -> UsedResiduals:
+    """By capture and sensor of the detections that are used: residuals of matches on one board, by candidate."""
+    board_of = solution.used
+    inliers = {end for e in estimates for row in e.matches[e.inliers].tolist() for end in _ends(e, row)}
     used: dict[tuple[int, str], dict[int, list[float]]] = {}
-    for capture, name, k in sorted(nodes):
+    for capture, name, k in sorted(inliers if board_of is None else board_of):
         used.setdefault((capture, name), {})[k] = []
     for pair in estimates:
-        for row, r in zip(pair.matches.tolist(), pair.residuals.tolist(), strict=True):
-            ends = _ends(pair, row)
-            if nodes.issuperset(ends):
-                for capture, name, k in ends:
+        for row, inlier, r in zip(pair.matches.tolist(), pair.inliers, pair.residuals.tolist(), strict=True):
+            first, second = _ends(pair, row)
+            if inlier if board_of is None else first in board_of and board_of[first] == board_of.get(second):
+                for capture, name, k in (first, second):
                     used[capture, name][k].append(r)
     return used
 
@@ -393,7 +390,7 @@ def _assemble_row(
     hold: Hold,
     name: str,
     captures: CaptureSet,
-    used: InlierResiduals,
+    used: UsedResiduals,
     solution: RigSolution,
     paired: Collection[str],
 ) -> CaptureRow:

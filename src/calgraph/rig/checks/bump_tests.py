@@ -21,7 +21,7 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[PoseStep, ...]:
 
     A score test of all sensors and times, with the variances of the solution, selects one step. As these variances
     contain the effect of the step, they are estimated again with it, which selects again; then it is tested by its
-    covariance. All detections take part that are unambiguous, as those after a bump may be outliers of the
+    covariance. All detections take part that the solution judged, as those after a bump may be outliers of the
     solution without it. Further steps are searched beside those that were found.
 
     Source: Andrews, "Tests for parameter instability and structural change with unknown change point", 1993; for
