@@ -91,7 +91,7 @@ def test_times_that_clouds_state_have_no_errors() -> None:
     part = SimpleNamespace(points=[points, points])
     adjusted = cast(Adjustment, SimpleNamespace(
         states=[SensorState(np.eye(3), range_scale=0.01), SensorState(np.eye(3))], parts=[part],
-        free=np.ones((2, 9), dtype=bool), covariance=np.eye(18), point_counts=np.array([5, 0]),
+        stddev=np.ones((2, 9)), point_counts=np.array([5, 0]),
     ))  # fmt: skip
     sensors = {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in "ab"}
     rig = Rig.model_validate({"root": "a", "target": {"kind": "surroundings"}, "sensors": sensors})
