@@ -80,6 +80,14 @@ def test_too_few_beams_are_no_line() -> None:
     assert fit_line(BEAMS[:2], line_ranges()[:2], np.full(2, 0.01), np.full(2, 1e-3), LINE) is None
 
 
+def test_a_surface_that_no_beam_intersects_is_none() -> None:
+    """Beams of one length fit a line or a plane behind the scanner exactly, where incidence angles are bounded."""
+    noise = np.full(120, 0.01), np.full(120, 1e-3)
+    assert fit_line(BEAMS, np.full(120, 2.0), *noise, np.array([-2.5, 0.8])) is None
+    _, directions = to_beams(beams_at_plane(12))
+    assert fit_plane(np.full(144, 2.0), directions, 0.01, 1e-3, np.append(-PLANE[:3], 0.8)) is None
+
+
 def test_points_on_one_line_are_no_plane() -> None:
     points = np.array([2.0, -1.0, 1.0]) + np.linspace(0, 1, 20)[:, None] * np.array([0.0, 1.0, 0.0])
     fit = fit_plane(*to_beams(points), 0.01, 0.001, plane.fit(points))

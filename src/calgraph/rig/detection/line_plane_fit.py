@@ -62,7 +62,9 @@ def fit_line(
         return whiten_line(line, angles, ranges, sigma_range, sigma_angle)
 
     start = np.asarray(start, dtype=np.float64)
-    return _fit_robustly(whitened, lambda line, step: line + step, start)
+    fit = _fit_robustly(whitened, lambda line, step: line + step, start)
+    # Without a beam that intersects the line, the iterations have diverged.
+    return fit if fit is not None and np.any(np.cos(angles - fit.parameters[0]) > MIN_COSINE) else None
 
 
 def whiten_line(
@@ -100,7 +102,8 @@ def fit_plane(
         J = np.column_stack([d / cosine[:, None] ** 2 * (directions @ plane.tangent_basis(n)), -1 / cosine])
         return (ranges + d / cosine) / sigma, J / sigma[:, None]
 
-    return _fit_robustly(whitened, plane.retract, start)
+    fit = _fit_robustly(whitened, plane.retract, start)
+    return fit if fit is not None and np.any(directions @ fit.parameters[:3] < -MIN_COSINE) else None
 
 
 # Rounds of rejection: the first one is by a fit with outliers, the second one by a fit to inliers.
