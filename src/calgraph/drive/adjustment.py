@@ -7,7 +7,7 @@ For each measured point k of sensor i on surface j,
 with the trajectory ``T_wr`` a spline, the flat patch ``f_j`` of a cell (offset and slopes), and the view bias
 ``b_ij``, by which the patch that one sensor measures differs from that of the others: surfaces are not planes, and
 ranges depend on incidence. View biases and surfaces are eliminated by group and cell, then the trajectory of each
-part of the drive; what remains are the errors of the sensors.
+part of the drive; what remains are the errors of the sensors. A solution can be given another root.
 """
 
 from collections.abc import Callable, Mapping, Sequence

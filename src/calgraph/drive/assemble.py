@@ -122,6 +122,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             )
         )
     unconnected = {name: start.reason for name, start in result.starts.items() if isinstance(start, Rejected)}
+    # What gyroscopes cannot measure.
     turning = (
         f"turns do not determine where {name} is: its rotation is calibrated only"
         for name in names
@@ -136,6 +137,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
+            # Of the root with each other sensor: relative motions, and those that agree.
             edges=tuple(
                 Edge(rig.root, name, start.motions, round(start.inliers * start.motions), True, np.zeros(0))
                 if isinstance(start, MotionStart)

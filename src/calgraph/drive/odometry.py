@@ -78,7 +78,7 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
             some = _select(sweep, points, predicted, velocity, surfaces, rng)
             pose, velocity, information = _register(some, poses[-1], predicted, duration, surfaces)
             poses.append(pose)
-            # At most 10 m.
+            # This information bounds the standard deviation at 10 m.
             least = information + np.diag(np.repeat([1e-2, 1.0], [n, len(information) - n]))
             stddev.append(float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(least)[:n, :n])[-1])))
         if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:

@@ -295,7 +295,7 @@ def compare_drive_extrinsics(
 
     Raises:
         InputError: the extrinsics lack the root, or nothing fixed connects the sensors there; and as for
-            :func:`calgraph.drive.pipeline.calibrate_drive`.
+            :func:`calibrate_drive`.
     """
     calibration = calibrate_drive(rig, recording, options, progress)
     return calibration, compare_with_contradictions(rig, calibration, given, "motions")

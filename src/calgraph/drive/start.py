@@ -1,5 +1,7 @@
 """Start values without a guess: clocks by turn rates, poses by relative motions (hand-eye calibration).
 
+They are of each sensor against the one that leads, whose trajectory covers most of the time.
+
 Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D robotics hand/eye calibration",
 1989; Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
 """

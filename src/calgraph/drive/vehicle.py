@@ -16,6 +16,8 @@ less far in curves to the left,
     Σ x̄ · Δp  =  (1 + s) Σ w  -  y Σ Δθ
 
 with ``x̄`` the vehicle's front, and ``s`` the error of the wheels' radius.
+
+The frame has a verdict, as sensors have.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Types of arrays used in the whole package."""
+"""Types of arrays, and operations on arrays and tables of them."""
 
 from collections.abc import Iterable
 from dataclasses import fields

@@ -154,7 +154,7 @@ def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -
     scale = np.sqrt(np.maximum(degree, np.finfo(np.float64).tiny))
     i, j = graph.edges.T
     blocks = (w / (scale[i] * scale[j]))[:, None, None] * graph.R_i_j
-    # Summed over alternatives.
+    # Blocks (E, n, n) at (i, j), transposed at (j, i); those of alternatives are summed.
     both_ways = np.concatenate([blocks, se_n.transpose(blocks)])
     G = csr_array(assemble_blocks(np.concatenate([i, j]), np.concatenate([j, i]), both_ways, count, count))
     if count * n <= _MAX_DENSE:

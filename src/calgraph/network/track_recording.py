@@ -156,7 +156,8 @@ def _track_unread(
     """
     counts = {topic.name: topic.count for topic in recording.topics}
     scans = [counts.get(rig.topics[name], 0) for name in names]
-    # A cluster may have lost all workers for a moment; a single one waits for no other.
+    # A cluster may have lost all workers for a moment. One worker would only read the recording once for each
+    # batch.
     engine, workers = options.engine, options.engine.workers
     batches = 1 if workers == 1 else _BATCHES_PER_WORKER * max(workers, 1)
     if sum(scans) < _MIN_DIVIDED_SCANS:

@@ -53,6 +53,14 @@ def collect_captures(
 
     The intrinsics of cameras without any are estimated first, from the same holds. Where the board is out of the
     views while they rest, and stamps show sets of frames, the captures are these.
+
+    Args:
+        rig: the rig.
+        recording: whose stamps are corrected by arrivals.
+        options: how to calibrate.
+        rng: for what is drawn at random.
+        progress: called with the step and the fraction done.
+        clocks: what arrivals show of clocks.
     """
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")

@@ -76,6 +76,7 @@ def admit_sensors(
 
     Of two, the test of handedness decides which one is impossible where a camera read coded marks; then, which one
     contradicts more of the others, or agrees with fewer of them. If all of this is equal, neither is good.
+    If the root has no pair and no prior ties it, another root takes its place, with a finding.
 
     Args:
         rig: the rig.
@@ -92,7 +93,6 @@ def admit_sensors(
     reasons, undecided = _select_impossible(rig, captures, pairs, contradictions)
     if reasons:
         rig, captures, pairs = _leave_out(rig, captures, pairs, reasons, undecided)
-    # Another root, with a finding, in place of one that has no pair, and no prior that ties it.
     tied = options.prior or options.rigid
     if tied or any(rig.root in (pair.sensor_a, pair.sensor_b) for pair in select_successful(pairs)):
         return rig, captures, pairs

@@ -57,7 +57,7 @@ class RenderContext:
 
 
 def build_texture_pyramid(face: Array, size: tuple[float, float]) -> PrintedBoard:
-    """Builds the image pyramid of a face from :func:`calgraph.simulation.board_texture.render_board_texture`."""
+    """Builds the image pyramid of a face from :func:`render_board_texture`."""
     levels = [face]
     while min(levels[-1].shape) >= 32:
         rows, columns = levels[-1].shape

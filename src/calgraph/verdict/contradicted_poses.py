@@ -40,7 +40,7 @@ def _is_contradicted(rig: Rig, sensor: SensorPose) -> bool:
         sensor.name, sensor.kind, sensor.T_root_sensor, sensor.measured_covariance,
         tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
     )  # fmt: skip
-    # Beside what the standard deviations come from.
+    # Clauses of both, but those that name what the standard deviations come from.
     stated, expected = (
         sum(not names_sources(clause) for clause in split_clauses(one.reason)) if one.reason else 0
         for one in (sensor.verdict, alone)

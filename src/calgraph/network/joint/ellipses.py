@@ -1,4 +1,4 @@
-"""Bodies that are ellipses, such as people at the height of the torso, and cylinders; headings of who turns.
+"""Bodies that are ellipses, such as people at the height of the torso, and cylinders; headings of people who turn.
 
 Where people turn round on the spot, the path does not determine the side, and least squares does not get from one
 side to the other; the ranges to the outline do. The best sequence of headings on a grid is found by dynamic
@@ -158,10 +158,15 @@ _HEADING_SIGMA = 0.3
 
 
 def compute_heading_offsets(body: EllipseObservations, positions: Array, headings: Array) -> tuple[Array, Array]:
-    """Angles (K, G) between headings (K, G) or (G,) at control points (K, 2) and the direction of motion, rad.
+    """Angles between headings and the direction of motion, with the weights of their prior.
 
-    They are modulo π because an ellipse has no front. The weights (K,) of their prior, 1/rad², are zero where
-    people stand.
+    Args:
+        body: whose path it is.
+        positions: (K, 2) control points of the path, m.
+        headings: (K, G) or (G,) at the control points, rad.
+
+    Returns:
+        Angles (K, G), modulo π because an ellipse has no front, and weights (K,), 1/rad²; zero where people stand.
     """
     velocity = np.gradient(positions, body.knots.step, axis=0)
     walking = np.linalg.norm(velocity, axis=1) > MIN_WALKING_SPEED

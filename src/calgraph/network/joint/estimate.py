@@ -367,7 +367,7 @@ def register_walls(
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body.
 
-    It starts from the poses and systematic errors of the state.
+    Registration starts from the poses and systematic errors of ``state``.
     """
     pairs = {
         (a.scanner, b.scanner)

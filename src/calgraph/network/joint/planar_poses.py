@@ -1,4 +1,7 @@
-"""Poses of a network's scanners, in their common plane or in space, with their joint covariance."""
+"""Poses of a network's scanners, in their common plane or in space, with their joint covariance.
+
+They are results, and priors from an earlier calibration.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

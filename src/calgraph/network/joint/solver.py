@@ -162,7 +162,14 @@ def linearize_network(
     batches: BodyBatches | None = None,
     order: ScannerOrder | None = None,
 ) -> NetworkEquations:
-    """The normal equations at a state; bodies may have been placed already, and the order of scanners be known."""
+    """The normal equations at a state.
+
+    Args:
+        network: the problem.
+        state: values of its unknowns.
+        batches: its bodies, where they have been placed already.
+        order: of its scanners, if it is known already.
+    """
     batches = batches or BodyBatches.place(network.bodies)
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
     kept = batches.keep(linearize_body, network, state)

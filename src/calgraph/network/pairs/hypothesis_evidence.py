@@ -105,7 +105,7 @@ _EVIDENCE_SCALE = 17.0
 # networks has a scanner that chance connects. Up to 16 scanners, the least evidence suffices.
 _MAX_EXPECTED = 0.05
 # Minimum weight of evidence of a hypothesis, a log likelihood ratio: a perfect fit of 2 s has 52, a fit with 9 cm
-# needs 9 s for the same. Chosen on benchmarks/short_networks.py.
+# needs 9 s for the same. Chosen on simulated networks (short_networks.py at df299a6b).
 MIN_WEIGHT_OF_EVIDENCE = 45.0
 
 

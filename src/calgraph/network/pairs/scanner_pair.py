@@ -197,6 +197,7 @@ def _estimate_candidates(
         # Random numbers of a pair do not depend on the other pairs.
         generators = [np.random.default_rng((seed, *ends)) for ends in pairs]
 
+        # ``left`` is bound now, as ``rounds`` changes.
         def report(done: float, left: float = 0.5**rounds) -> None:
             # Each round takes half of what is left; their number is not known before the last.
             progress(1 - left * (1 - done / 2))

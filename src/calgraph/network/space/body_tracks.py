@@ -34,7 +34,7 @@ def track_bodies(bodies: Bodies, T_floor_sensor: Array, settings: TrackingSettin
     """Tracks of what moves, cut where another body is near."""
     if not len(bodies.sweep):
         return ()
-    # As clusters of one point each, which are associated.
+    # ``associate`` takes clusters: one of one point for each body.
     count = len(bodies.times)
     objects = Clusters(
         bodies.centers[:, :2], np.arange(count), np.ones(count, dtype=np.intp), bodies.sweep, bodies.times,

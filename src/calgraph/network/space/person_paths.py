@@ -8,7 +8,8 @@ For the sample x of a person at time t, measured by sensor i along the horizonta
 with the path c, a spline; the depth a of the axis behind the front, its changes a' and a" with the angle φ between
 view and walk w, s with the height h over the middle of the body, and d with the distance ρ; the lean l; and errors
 of shape b that are the same for all samples of a view: of one track, during a second. Errors of views are
-eliminated in closed form, then path and body of each person.
+eliminated in closed form, then path and body of each person. Sums over a network are of the sensors that measured
+each person; score tests of what changes with time have a state of each sensor in each period.
 
 Sources: Harville, "Maximum likelihood approaches to variance component estimation", 1977, for the variances;
 Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.

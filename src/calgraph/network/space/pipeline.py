@@ -258,7 +258,14 @@ def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
 def observe_clouds(
     splitter: CloudSplitter, spec: Lidar3dSpec, settings: TrackingSettings, rng: np.random.Generator
 ) -> SpaceObservations | Rejected:
-    """The floor, static points and tracks that a stationary LiDAR measured, or why there are none."""
+    """The floor, static points and tracks that a stationary LiDAR measured, or why there are none.
+
+    Args:
+        splitter: that all its clouds were added to.
+        spec: of the sensor, for the errors of its ranges.
+        settings: of tracking.
+        rng: of the search for the floor.
+    """
     split = splitter.finish()
     if split is None:
         return Rejected("no cloud has any point")

@@ -155,6 +155,7 @@ def _register_part(reference: ReferenceScan, ranges: Array, noise: float) -> Win
     points = to_points(reference.angles[chosen], ranges[:, chosen])
     at_rest = np.zeros((len(ranges), 3))
     found = _refine(reference, points, at_rest, noise, AGREEMENT_SIGMAS * noise)
+    # First from rest, then by a search of rotations.
     for searched in (False, True):
         poor = np.flatnonzero(found.agreement < _SETTLED_AGREEMENT)
         if len(poor):

@@ -62,6 +62,11 @@ def add_unambiguous_detections(
 
     Added are detections that are the only one of a sensor in a capture, or the only one of a camera of one of the
     rig's boards. They join the board that most sensors detected in the capture, or make a new board.
+
+    Args:
+        boards: of the pairs' inliers.
+        detections: of all sensors.
+        sensors: whose detections are added.
     """
     by_capture: dict[int, list[BoardObservation]] = {}
     for board in boards:

@@ -110,7 +110,15 @@ def _leave_out_unprojected(detection: BoardCorners, camera: CameraModel, T_camer
 def rebuild_bundle(
     rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation], solved: Bundle, state: BundleState
 ) -> tuple[Bundle, BundleState]:
-    """The bundle of other boards, with variances and parameters of one without outlines, and its start values."""
+    """The bundle of other boards, with the variances and parameters of a solved one, and its start values.
+
+    Args:
+        rig: the rig.
+        captured: detections.
+        boards: of the new bundle.
+        solved: without outlines.
+        state: its solution.
+    """
     T_root_sensor = dict(zip(solved.sensors, state.T_root_sensor, strict=True))
     bundle, start = build_bundle(rig, captured, boards, T_root_sensor)
     value = {(p.of, p.quantity): x for p, x in zip(solved.extra_parameters, state.extra, strict=True)}

@@ -89,13 +89,21 @@ class Bundle:
         return replace(self, views=tuple(all_views[:sensors]), outlines=tuple(all_views[sensors:]))
 
     def without_outlines(self) -> "Bundle":
-        """The bundle with observations of the boards' planes and prints only."""
+        """The bundle with observations of the boards' planes and prints only.
+
+        Parameters of outlines alone stay, with their priors only.
+        """
         sensors = len(self.views)
         parameters = tuple(
             replace(one, view_sets=tuple(k for k in one.view_sets if k < sensors)) for one in self.extra_parameters
         )
-        kept = replace(self, extra_parameters=parameters, bias_variance=self.bias_variance[:sensors])
-        return replace(kept, outlines=(), outline_sensor=())
+        return replace(
+            self,
+            extra_parameters=parameters,
+            bias_variance=self.bias_variance[:sensors],
+            outlines=(),
+            outline_sensor=(),
+        )
 
     def extra_indices(self, k: int) -> Index:
         """(e,) indices of the extra parameters of views k."""

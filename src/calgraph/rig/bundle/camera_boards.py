@@ -73,7 +73,10 @@ def _move(detection: Detection, T_camera_board: np.ndarray) -> Detection:
 def align_symmetric_prints(rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array]) -> CaptureSet:
     """The captures with corners of symmetric prints as the first camera numbers them that detected the board.
 
-    Poses (4, 4) of the connected sensors may be approximate.
+    Args:
+        rig: the rig.
+        captured: all detections.
+        T_root_sensor: approximate poses (4, 4) of the connected sensors.
     """
     turns = [symmetry_turns(board.pattern) for board in rig.boards]
     if not any(turns):

@@ -77,7 +77,10 @@ class BoardViews(ABC):
 
     @abstractmethod
     def unwhiten(self, residual: Array) -> Array:
-        """Residuals (N, k), or their norms (N, 1), as errors in px, or in m along the beams."""
+        """Residuals (N, k), or their norms (N, 1), as errors in px, or in m along the beams.
+
+        Those of outlines are in m across the side.
+        """
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
         """(V, q, 6 + e) derivatives of the local parameters by the pose and the extra parameters."""

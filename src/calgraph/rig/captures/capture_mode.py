@@ -16,7 +16,10 @@ from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline,
 from calgraph.rig.kinds import MOTION_SIGNATURES
 
 StampGroup = Mapping[str, Array]
-"""Messages of sensors that were measured of one pose of the board: by sensor, its stamps in ascending order, s."""
+"""Messages of at least two sensors that were measured of one pose of the board.
+
+By sensor, its stamps in ascending order, s; no entry for a sensor without message in the group.
+"""
 
 
 def find_span(group: StampGroup) -> tuple[float, float]:

@@ -35,6 +35,11 @@ def correct_by_arrival(
     The offsets that rig.yaml states are relative to the root's clock, which arrivals may correct itself. A trigger
     whose arrivals show nothing has the clock of the sensors with which it has some time in common.
 
+    Args:
+        rig: the rig.
+        recording: open recording with the rig's topics.
+        cache: has what earlier runs read.
+
     Returns:
         The rig with the uncertainty of what was corrected, the recording with stamps by one clock as far as
         arrivals and rig.yaml determine them, what arrivals show of clocks, and what was corrected.
@@ -201,11 +206,13 @@ def estimate_clock_offsets(
     known = {name: 0.0 for name in timeline.sensors if name not in wanted} or {root: 0.0}
     found: dict[str, ClockOffset] = {}
     while True:
-        searched = {name: _search(name, pairs, known) for name in wanted if name not in known}
-        ranked = [(one[0], name, one[1]) for name, one in searched.items() if one is not None]
-        if not ranked:
+        searched = {
+            name: one for name in wanted if name not in known and (one := _search(name, pairs, known)) is not None
+        }
+        if not searched:
             return found
-        _, name, one = max(ranked, key=lambda item: item[:2])
+        name = max(searched, key=lambda name: (searched[name].distinction, name))
+        one = searched[name]
         found[name] = ClockOffset(0.0 if abs(one.offset) < _RESOLUTION else one.offset, one.correlation)
         known[name] = found[name].offset
 
@@ -300,11 +307,16 @@ def _interpolate(offsets: Array, grid: Array, values: Array) -> Array:
     return found
 
 
-def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> tuple[float, ClockOffset] | None:
-    """The offset that stands out among all with which the sensor's view overlaps others; None if none does.
+@dataclass(frozen=True)
+class _Searched(ClockOffset):
+    """An offset that stands out among all."""
 
-    First, its log-likelihood minus that of the next best one.
-    """
+    distinction: float
+    """Log-likelihood minus that of the next best one."""
+
+
+def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> _Searched | None:
+    """The offset that stands out among all with which the sensor's view overlaps others; None if none does."""
     grids = [grid for grid, _, _ in _select_pairs(name, pairs, known) if len(grid)]
     if not grids:
         return None
@@ -315,7 +327,7 @@ def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> tuple[float,
     distinction = float(likelihood[best] - rival)
     if likelihood[best] < _MIN_LIKELIHOOD or distinction < _MIN_DISTINCTION:
         return None
-    return distinction, ClockOffset(float(offsets[best]), float(correlation[best]))
+    return _Searched(float(offsets[best]), float(correlation[best]), distinction)
 
 
 def _find_late(

@@ -15,7 +15,7 @@ from calgraph.parallel.kept_values import Kept
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.result import Snapshot
 from calgraph.rig.captures.holds import Hold, sample_evenly
-from calgraph.rig.captures.timeline import RecordingTimeline
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMessage
 
@@ -275,15 +275,21 @@ def _divide(
     for hold in holds:
         names = [name for name in topics if (hold.index, name) not in skipped]
         if names:
-            # Of several messages with the same stamp, the first one.
-            arrivals = [
-                arrival
-                for times, stamps in ((messages.timeline.sensors[name], hold.stamps[name]) for name in names)
-                for arrival in times.arrivals[np.searchsorted(times.stamps, stamps)].tolist()
-            ] or [messages.reference.span[1]]
-            spans[hold.index] = min(arrivals), max(arrivals)
+            arrivals = np.concatenate(
+                [_find_arrivals(messages.timeline.sensors[name], hold.stamps[name]) for name in names]
+            )
+            if not len(arrivals):
+                # A hold without messages is as late as the end of the recording.
+                arrivals = np.array([messages.reference.span[1]])
+            spans[hold.index] = float(arrivals.min()), float(arrivals.max())
     ordered = sorted((hold for hold in holds if hold.index in spans), key=lambda hold: spans[hold.index])
     size = max(-(-len(ordered) // count), 1)
     for k in range(0, len(ordered), size):
         part = ordered[k : k + size]
         yield part, spans[part[0].index][0], max(spans[hold.index][1] for hold in part)
+
+
+def _find_arrivals(times: SensorTimes, stamps: Array) -> Array:
+    """When the messages of some stamps (N,) arrived, s; the first one of several with the same stamp."""
+    found: Array = times.arrivals[np.searchsorted(times.stamps, stamps)]
+    return found

@@ -207,7 +207,7 @@ def select_frame_sets(groups: Sequence[StampGroup], timeline: RecordingTimeline,
 def find_neighbours(groups: Sequence[StampGroup], timeline: RecordingTimeline) -> list[StampGroup]:
     """The messages of each sensor before and after those of some groups, as far as they are in none of them.
 
-    They show the velocity of the board.
+    They show the velocity of the board. Groups may be of a single sensor.
     """
     used = {(name, float(stamps[0])) for group in groups for name, stamps in group.items()}
     all_stamps = {name: np.unique(times.stamps) for name, times in timeline.sensors.items()}

@@ -153,10 +153,21 @@ def _make_votes(times: SensorTimes, start: float, cells: int, baseline: float) -
     return _Votes(starts, ends, activity, bins, first, stop, min(times.period / _INDEPENDENT, 1.0))
 
 
+@dataclass(frozen=True, eq=False)
+class _States:
+    """Where something moves, as found from one start."""
+
+    moving: NDArray[np.bool_]
+    """(cells,)."""
+    rests: int
+    """Their number."""
+    information: float
+    """On the activities, nats."""
+
+
 def _decide(sensors: Sequence[_Votes], cells: int, min_rests: int) -> NDArray[np.bool_]:
     """(cells,) whether something moves: of several states with most information, the one with most rests."""
-    # Of each start: number of rests, information on the activities in nats, and where something moves.
-    found: list[tuple[int, float, NDArray[np.bool_]]] = []
+    found: list[_States] = []
     for sensor in sensors:
         for share in _STARTS:
             above = sensor.activity > np.quantile(sensor.activity, 1 - share)
@@ -170,12 +181,12 @@ def _decide(sensors: Sequence[_Votes], cells: int, min_rests: int) -> NDArray[np
                     break
             information = sum(one.weight * _measure_information(*one.count(moving)) for one in sensors)
             information -= _CHANGE_COST * np.count_nonzero(np.diff(moving))
-            found.append((len(_list_spans(~moving)), information, moving))
+            found.append(_States(moving, len(_list_spans(~moving)), information))
     # A person who enters the room changes views as well, but once.
-    found = [one for one in found if one[0] >= min_rests] or found
-    most = max(information for _, information, _ in found)
-    near = [one for one in found if one[1] >= most - _EQUAL * abs(most)]
-    return max(near, key=lambda one: one[:2])[2]
+    found = [one for one in found if one.rests >= min_rests] or found
+    most = max(one.information for one in found)
+    near = [one for one in found if one.information >= most - _EQUAL * abs(most)]
+    return max(near, key=lambda one: (one.rests, one.information)).moving
 
 
 def _vote(sensor: _Votes, moving: NDArray[np.bool_]) -> Array:

@@ -189,7 +189,7 @@ def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMess
 def list_shared_inputs(name: str, rig: Rig, holds: Sequence[Hold]) -> dict[str, Any]:
     """What all that is found in a sensor's messages depends on: the messages, their noise, and the boards."""
     spec = rig.sensors[name]
-    # Messages that are converted images depend on them.
+    # Messages that are converted images depend on the intrinsics.
     intrinsics = spec.stated_intrinsics if isinstance(spec, OpticalSpec) and KINDS[spec.kind].convert else None
     return {
         "topic": spec.topic,

@@ -50,6 +50,9 @@ def find_wrong_sizes(solved: SolvedBundle) -> Iterator[WrongSize]:
     """Boards whose sides are not where those of their stated size are.
 
     The normal equations are solved once more, with free sizes, and what footprints can be.
+
+    Args:
+        solved: the solution with the priors of rig.yaml.
     """
     bundle, parameters, estimated = solved.bundle, solved.bundle.extra_parameters, solved.minimized.state.extra
     of_size = np.array([one.quantity in SIZES for one in parameters], dtype=np.bool_)

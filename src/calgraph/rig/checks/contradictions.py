@@ -40,7 +40,15 @@ def find_contradictions(
     held_out: Mapping[str, HeldOutError],
     drifts: DriftStatistics | None = None,
 ) -> tuple[Finding, ...]:
-    """The findings of all tests of a joint solution; none where it is not a bundle."""
+    """The findings of all tests of a joint solution; none where it is not a bundle.
+
+    Args:
+        solution: of the connected sensors.
+        rig: the rig, with the settings of the tests.
+        captures: all detections.
+        held_out: errors of the cross-validation by sensor.
+        drifts: their statistics, if they have been measured.
+    """
     if (solved := solution.solved_bundle) is None:
         return ()
     settings, kinds = rig.settings.diagnostics, {name: spec.kind for name, spec in rig.sensors.items()}
@@ -324,6 +332,10 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
 
     Rings of a scanner, and tags of a board, are tested by their largest deviation, at a limit that the largest of
     as many normal numbers exceeds as rarely; the distortion coefficients of a camera by their joint effect.
+
+    Args:
+        solved: the solution.
+        rig: with the uncertainty of cameras' distortion.
     """
     bundle, minimized = solved.bundle, solved.minimized
     first = 6 * bundle.body_count

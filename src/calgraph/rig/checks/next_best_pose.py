@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, Index, se3, so3
-from calgraph.result import Calibration, Suggestion, Verdict
+from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations
@@ -492,13 +492,19 @@ def add_suggestions(calibration: Calibration, suggestions: Sequence[Suggestion])
         calibration: poses and verdicts.
         suggestions: see :func:`calgraph.rig.checks.next_best_pose.suggest_board_poses`.
     """
-    remedied, sensors = {one.sensor for one in calibration.evidence.remedies}, []
-    for one in calibration.sensors:
-        # The first pose suggested for a sensor is a part of its verdict, unless it is good.
-        first = next((s for s in suggestions if s.sensor == one.name), None)
-        if first and one.name not in remedied and one.verdict.grade != "good":
-            verdict = Verdict(one.verdict.grade, f"{one.verdict.reason}; first {first.hold}")
-            one = replace(one, verdict=verdict)  # noqa: PLW2901
-        sensors.append(one)
-    evidence = replace(calibration.evidence, suggestions=tuple(suggestions))
-    return replace(calibration, sensors=tuple(sensors), evidence=evidence)
+    remedied = {one.sensor for one in calibration.evidence.remedies}
+    return replace(
+        calibration,
+        sensors=tuple(
+            one if one.name in remedied else _add_advice(one, suggestions) for one in calibration.sensors
+        ),
+        evidence=replace(calibration.evidence, suggestions=tuple(suggestions)),
+    )
+
+
+def _add_advice(sensor: SensorPose, suggestions: Sequence[Suggestion]) -> SensorPose:
+    """The sensor with the first pose suggested for it in its verdict, unless it is good."""
+    first = next((s for s in suggestions if s.sensor == sensor.name), None)
+    if first is None or sensor.verdict.grade == "good":
+        return sensor
+    return replace(sensor, verdict=Verdict(sensor.verdict.grade, f"{sensor.verdict.reason}; first {first.hold}"))

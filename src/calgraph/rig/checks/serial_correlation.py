@@ -26,7 +26,12 @@ def measure_serial_correlation(bundle: Bundle, solution: MinimizedBundle, order:
     What each board adds to the poses has a long-run variance, with lags weighted as by Bartlett, after removal of
     a linear trend. It is the mean over all directions in the space of poses, whitened by the covariance of the
     solution, so that it does not depend on the root and on units. Its ratio to that of random orders of the boards
-    is the factor if it is larger than in all of them; ``order`` (C,) is that of time.
+    is the factor if it is larger than in all of them.
+
+    Args:
+        bundle: the observations.
+        solution: its solution.
+        order: (C,) of the boards in time.
     """
     if len(order) < 2 * LAGS or not bundle.body_count:
         return 1.0

@@ -53,27 +53,36 @@ def learn_capture_background(
 
     If the sensor moved between captures, no direction has a static range. A board that stood in one place is
     static only if hardly any capture measured behind it. Empty clouds show nothing.
+
+    Args:
+        clouds: of one sensor, one a capture.
+        noise: of a beam.
+        settings: of the detection.
     """
     limits = settings.capture_background
     shape = round(np.pi / _DIRECTION_CELL) + 1, round(2 * np.pi / _DIRECTION_CELL)
-    nearest = []
-    for cloud in clouds:
-        if len(cloud.points):
-            ranges = measure_lengths(cloud.points)
-            valid = ranges > settings.lidar3d.min_range
-            # Infinite without returns.
-            nearest.append(np.full(shape[0] * shape[1], np.inf, dtype=np.float32))
-            np.minimum.at(nearest[-1], _find_cells(cloud.points[valid], shape), ranges[valid].astype(np.float32))
+    nearest = [
+        _measure_nearest_ranges(cloud, shape, settings.lidar3d.min_range) for cloud in clouds if len(cloud.points)
+    ]
     if len(nearest) < limits.min_captures:
         return CaptureBackground(np.full(shape, np.inf))
-    ordered = np.sort(nearest, axis=0)  # directions without return last: they are infinite
-    median = ordered[len(ordered) // 2]
+    ranges = np.sort(nearest, axis=0)  # directions without return last: they are infinite
+    median = ranges[len(ranges) // 2]
     thickness = np.maximum(OUTLIER_SIGMAS * noise.at(median), MIN_THICKNESS)
-    beyond = np.mean(ordered > median + thickness, axis=0)
-    same = 1 - beyond - np.mean(ordered < median - thickness, axis=0)
+    beyond = np.mean(ranges > median + thickness, axis=0)
+    same = 1 - beyond - np.mean(ranges < median - thickness, axis=0)
     static = np.isfinite(median) & (same >= _MIN_STATIC_SHARE) & (beyond <= _MAX_FREE_SHARE)
     begin = np.where(static, median - thickness, np.inf)
     return CaptureBackground(begin.reshape(shape).astype(np.float64))
+
+
+def _measure_nearest_ranges(cloud: PointCloud, shape: tuple[int, int], min_range: float) -> NDArray[np.float32]:
+    """(elevations * azimuths,) m; infinite without returns."""
+    ranges = measure_lengths(cloud.points)
+    valid = ranges > min_range
+    nearest = np.full(shape[0] * shape[1], np.inf, dtype=np.float32)
+    np.minimum.at(nearest, _find_cells(cloud.points[valid], shape), ranges[valid].astype(np.float32))
+    return nearest
 
 
 def _find_cells(points: Array, shape: tuple[int, ...]) -> NDArray[np.intp]:

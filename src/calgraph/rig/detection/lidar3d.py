@@ -115,9 +115,9 @@ def find_patches(
         for region in candidates
     ]
     found: list[PlanePatch] = []
-    for match, members, rectangle in sorted((p for p in measured if p is not None), key=lambda p: -p[0]):
+    for patch in sorted((p for p in measured if p is not None), key=lambda p: -p.match):
         least = max(_MIN_SCORE, _MIN_SCORE_RATIO * found[0].match if found else 0.0)
-        fitted = _fit_patch(points, members, rectangle, match, noise, settings) if match >= least else None
+        fitted = _fit_patch(points, patch, noise, settings) if patch.match >= least else None
         if fitted is not None:
             found.append(fitted)
     if not found:
@@ -153,6 +153,17 @@ def _select_candidate_regions(
     return [region for score, region in best if score >= _MIN_SCORE]
 
 
+@dataclass(frozen=True, eq=False)
+class _MeasuredPatch:
+    """A flat region as the board."""
+
+    members: Indices
+    """Points on it."""
+    rectangle: BoardRectangle
+    match: float
+    """Score."""
+
+
 def _measure_patch(
     points: Array,
     cells: Cells,
@@ -162,8 +173,8 @@ def _measure_patch(
     scene: SceneBeams,
     rng: np.random.Generator,
     settings: DetectionSettings,
-) -> tuple[float, Indices, BoardRectangle] | None:
-    """Score, points and rectangle of one flat region as the board; cells are of the first of the points."""
+) -> _MeasuredPatch | None:
+    """The points, rectangle and score of one flat region; cells are of the first of the points."""
     in_region = np.zeros(len(cells.points) + 1, dtype=np.bool_)  # the last one is that of points without a cell
     in_region[region] = True
     chosen = points.take(np.flatnonzero(in_region[cells.cell_of_point]), axis=0)
@@ -176,26 +187,24 @@ def _measure_patch(
         (_score_patch(surface, flat, board, cells.spacing, scene, thickness, settings) for board in boards),
         key=lambda matched: matched[0],
     )
-    return match, members, rectangle
+    return _MeasuredPatch(members, rectangle, match)
 
 
 def _fit_patch(
-    points: Array,
-    members: Indices,
-    rectangle: BoardRectangle,
-    match: float,
-    noise: RangeNoise,
-    settings: DetectionSettings,
+    points: Array, patch: _MeasuredPatch, noise: RangeNoise, settings: DetectionSettings
 ) -> PlanePatch | None:
-    """The patch with the plane fitted to its points (N,) away from its outline."""
-    interior = members[_select_interior(points[members], rectangle, match, settings.lidar3d.min_points)]
+    """The patch with the plane fitted to its points away from its outline."""
+    rectangle, members = patch.rectangle, patch.members
+    interior = members[_select_interior(points[members], rectangle, patch.match, settings.lidar3d.min_points)]
     ranges, directions = to_beams(points[interior])
     fit = fit_plane(ranges, directions, noise.of_beams(ranges, directions), noise.angle, rectangle.surface)
     if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
     center = rectangle.center - (n @ rectangle.center + d) * n
-    return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, match)
+    return PlanePatch(
+        fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, patch.match
+    )
 
 
 # Maximum number of points that RANSAC draws from and scores: the share of inliers is accurate to 2.5 %.

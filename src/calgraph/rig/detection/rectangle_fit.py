@@ -163,7 +163,8 @@ def measure_solidity_and_isolation(
 
 def _crop_to_cone(rectangle: BoardRectangle, scene: SceneBeams, frame: float) -> tuple[Array, Array]:
     """The points (N, 3) of the scene in the cone around the rectangle and its frame, and their ranges (N,)."""
-    (points, ranges), distance = scene, float(np.linalg.norm(rectangle.center))
+    points, ranges = scene
+    distance = float(np.linalg.norm(rectangle.center))
     radius = 0.5 * float(np.hypot(*rectangle.size)) + np.sqrt(2) * frame
     if radius >= distance:
         return points, ranges

@@ -92,7 +92,7 @@ def describe_shortcomings(
 ) -> tuple[str, ...] | Rejected:
     """What limits the accuracy of intrinsics by their covariance, or why they cannot be used.
 
-    What to do, which each states, follows from coverage and tilt.
+    Each states what to do, which follows from coverage and tilt.
     """
     stddev = np.sqrt(np.diag(fit.covariance))
     focal, center = float(stddev[:2].max()), float(stddev[2:4].max())
@@ -283,6 +283,10 @@ def choose_views(views: Sequence[BoardView], settings: IntrinsicsSettings) -> li
     """The views that determine a pose; of too many, those that differ most from each other.
 
     The first one chosen has the most corners, and each further one is the farthest from all before it.
+
+    Args:
+        views: all, of images of one size.
+        settings: the number of views, and of their corners.
     """
     usable = [view for view in views if _determines_pose(view)]
     if len(usable) <= settings.max_views:

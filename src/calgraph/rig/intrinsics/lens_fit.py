@@ -55,7 +55,7 @@ def estimate_model_error(
         information: (F, F) on the coefficients of the field, each over its standard deviation in a field as large
             as the noise, with all other parameters eliminated.
         gradient: (F,) by them, with the other sign, at coefficients of zero.
-        squared_residuals: there.
+        squared_residuals: at coefficients of zero.
         freedom: number of residuals less that of the other parameters.
     """
     values, vectors = np.linalg.eigh(information)
@@ -111,6 +111,13 @@ def fit_lens(
     """Fits a camera model to views: the camera, the noise and the inliers in turn, until they stay the same.
 
     Errors of the prints have the priors of the rig; intrinsics have none.
+
+    Args:
+        rig: with the boards and the camera.
+        name: of the camera.
+        views: of boards.
+        start: the model, and poses (V, 4, 4) of the boards.
+        settings: of the rounds.
     """
     detections: Mapping[int, BoardCorners] = {
         i: _make_detection(view, T)
@@ -141,7 +148,13 @@ _MODEL_ERROR_ROUNDS = 2
 
 
 def include_model_error(rig: Rig, name: str, fit: LensFit) -> LensFit:
-    """A fit together with a residual distortion, whose size is estimated from the residuals."""
+    """A fit together with a residual distortion, whose size is estimated from the residuals.
+
+    Args:
+        rig: with the boards and the camera.
+        name: of the camera.
+        fit: of the camera's model alone.
+    """
     found, noise, error = fit, fit.noise, fit.noise
     for _ in range(_MODEL_ERROR_ROUNDS):
         found = _adjust_lens(rig, name, found.detections, found.camera, noise, error)

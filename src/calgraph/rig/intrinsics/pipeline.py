@@ -49,7 +49,17 @@ def estimate_unknown_intrinsics(
     progress: Progress = no_progress,
     cache: RecordingCache = NO_CACHE,
 ) -> EstimatedIntrinsics:
-    """Estimates the intrinsics of the cameras without any from all captures."""
+    """Estimates the intrinsics of the cameras without any from all captures.
+
+    Args:
+        rig: with the intrinsics of all other cameras.
+        recording: open recording with the rig's topics.
+        timeline: of the recording.
+        holds: the captures.
+        engine: searches views.
+        progress: called with the step and the fraction done.
+        cache: has what earlier runs found in the images of a camera, and gets the others.
+    """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
     found = _find_marks(
         rig, unknown, recording, timeline, holds, engine, lambda done: progress("intrinsics", done), cache

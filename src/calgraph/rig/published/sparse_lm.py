@@ -74,6 +74,12 @@ def minimize_sparse(
 ) -> Minimum[Values, SparseEquations]:
     """Minimises half the sum of squared residuals of all factors.
 
+    Args:
+        values: start values of every block.
+        blocks: what kind of variable each block is.
+        factors: the residuals.
+        iterations: steps at most, rejected ones included.
+
     Raises:
         CalibrationError: the residuals are not finite at the start.
     """
