@@ -128,7 +128,8 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
         solution, needs = self.solution, self._list_needs()
         lacking = [need.advice for need in needs if not need.done]
         phase, headline = self.find_unheard() or self._describe_phase(lacking)
-        reasons = [clause for one in solution.sensors for clause in split_clauses(one.reason)] if solution else []
+        stated = [one.reason for one in solution.sensors if one.reason] if solution else []
+        reasons = [clause for reason in stated for clause in split_clauses(reason)]
         advice = "; ".join(dict.fromkeys([*lacking, *reasons]))
         unknown = f"Turns and way are not known: {self._measuring}: {self._unknown}" if self._unknown else ""
         return SessionState(
