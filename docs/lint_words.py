@@ -19,8 +19,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "src/calgraph/"
 TEXTS = (
-    "*.md", "docs/*.md", "docs/decisions/*.md", "docs/method/*.md", "src/**/*.html", "src/**/*.js", "src/**/*.py",
-    "docs/*.py", "docs/examples/*.py", "benchmarks/*.py",
+    "*.md", "docs/*.md", "docs/decisions/*.md", "docs/method/*.md", "src/**/*.html", "src/**/*.jinja",
+    "src/**/*.js", "src/**/*.py", "docs/*.py", "docs/examples/*.py", "benchmarks/*.py",
 )  # fmt: skip
 
 VOCABULARY = {

@@ -372,12 +372,16 @@ def spoiled_triggers(items: Items, rng: np.random.Generator) -> Items:
     first, last = items[0].arrival, items[-1].arrival
     triggers = [item for item in items if item.topic == TRIGGER]
     others = [item for item in items if item.topic != TRIGGER]
-    kind = int(rng.integers(3))
-    if kind == 1:
-        times = rng.uniform(first, last, len(triggers))
-        pairs = zip(triggers, times, strict=True)
-        triggers = [with_stamp(replace(item, arrival=int(time)), time / 1e9) for item, time in pairs]
-    return _sorted([*others, *(triggers * 2 if kind == 0 else triggers if kind == 1 else triggers[:1])])
+    match int(rng.integers(3)):
+        case 0:
+            triggers = triggers * 2
+        case 1:
+            times = rng.uniform(first, last, len(triggers))
+            pairs = zip(triggers, times, strict=True)
+            triggers = [with_stamp(replace(item, arrival=int(time)), time / 1e9) for item, time in pairs]
+        case _:
+            triggers = triggers[:1]
+    return _sorted([*others, *triggers])
 
 
 def _repeat(items: Items, at: int) -> Items:

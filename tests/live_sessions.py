@@ -59,8 +59,8 @@ class GivenSession(Session[Solution]):
     def describe(self) -> SessionState:
         return self.given
 
-    def describe_sensor(self, name: str) -> SensorState:
-        return SensorState(name, self.rig.sensors[name].kind)
+    def list_sensor_states(self) -> Iterator[SensorState]:
+        return (SensorState(name, spec.kind) for name, spec in self.rig.sensors.items())
 
     def act(self, action: Action) -> None:
         self.actions.append(action)

@@ -7,6 +7,7 @@ mutations, the bytes are those within, and the harness packs them into a file. Y
 import gzip
 import json
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -55,6 +56,8 @@ _VALUES: tuple[Any, ...] = (
     [0], [1, 2, 3], {"a": 1}, {"kind": "board"}, [[]], "2001-01-01", "nan", "1 mm", "0.3 deg",
 )  # fmt: skip
 """That take the place of others in trees."""
+_ACTIONS = 4
+"""What is done with a member of an archive: other content, removed, repeated, or the name of another."""
 
 Run = Callable[[bytes, Path], None]
 MutateBytes = Callable[[bytes], bytes]
@@ -82,8 +85,16 @@ def mutate_yaml(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
         content = YAML(typ="safe").load(data)
     except Exception:  # no YAML any more
         return inner(data)
-    text = json.dumps(mutate_tree(content, rng), default=str)
+    text = json.dumps(_name_keys(mutate_tree(content, rng)), default=str)
     return text.replace("Infinity", ".inf").replace("NaN", ".nan").encode()
+
+
+def _name_keys(content: Any) -> Any:
+    """The same with keys that JSON allows: YAML also has keys that are dates, bytes and tuples."""
+    if isinstance(content, dict):
+        plain = bool, int, float, str, type(None)
+        return {key if isinstance(key, plain) else str(key): _name_keys(one) for key, one in content.items()}
+    return [_name_keys(one) for one in content] if isinstance(content, list) else content
 
 
 def mutate_tree(content: Any, rng: Random) -> Any:
@@ -179,24 +190,47 @@ def _scene(path: Path) -> None:
         _ = snapshot.picture
 
 
-def _archive(name: str, read: Callable[[Path], object]) -> Harness:
-    """Of a ZIP that calgraph writes: the first byte states which member the others take the place of."""
+def _archive(name: str, read: Callable[[Path], object], archives: seeds.Seeds) -> Harness:
+    """Of ZIPs: two bytes state what is done with which member; its content follows."""
 
-    def members() -> dict[str, bytes]:
-        with zipfile.ZipFile(BytesIO(seeds.written_files()[name])) as archive:
-            return {one: archive.read(one) for one in archive.namelist()}
+    @cache
+    def members() -> list[list[tuple[str, bytes]]]:
+        found = []
+        for data in archives():
+            with zipfile.ZipFile(BytesIO(data)) as archive:
+                found.append([(one, archive.read(one)) for one in archive.namelist()])
+        return found
 
     def run(data: bytes, folder: Path) -> None:
-        contents = members()
-        if data:
-            contents[list(contents)[data[0] % len(contents)]] = data[1:]
-        with zipfile.ZipFile(folder / name, "w") as archive:
-            for member, content in contents.items():
-                archive.writestr(member, content)
-        read(folder / name)
+        what, which = data[:2].ljust(2, b"\0")
+        number, action = divmod(what, _ACTIONS)
+        contents = list(members()[number % len(members())])
+        i = which % len(contents)
+        member = contents[i][0]
+        match action:
+            case 0:
+                contents[i] = member, data[2:]
+            case 1:
+                contents.pop(i)
+            case 2:
+                contents.append((member, data[2:]))
+            case _:
+                other = data[2] % len(contents) if len(data) > 2 else 0
+                contents[i] = contents[other][0], contents[i][1]
+        path = _write(folder, name, b"")
+        with zipfile.ZipFile(path, "w") as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of members that have the same name
+            for one, content in contents:
+                archive.writestr(zipfile.ZipInfo(one), content)
+        read(path)
 
     def make_seeds() -> list[bytes]:
-        return [bytes([i]) + one for i, one in enumerate(members().values()) if len(one) < _MAX_MEMBER]
+        found = []
+        for number, contents in enumerate(members()):
+            first = _ACTIONS * number
+            found += [bytes([first, i]) + one for i, (_, one) in enumerate(contents) if len(one) < _MAX_MEMBER]
+            found += [bytes([first + 1, 0]), bytes([first + 2, 0]), bytes([first + 3, 0, 1])]
+        return found
 
     return Harness(run, make_seeds)
 
@@ -214,20 +248,26 @@ def _inspect(recording: Recording) -> None:
     draft_rig(find_topics(recording), "recording")
 
 
+def _read_recording(path: Path) -> None:
+    with open_recording(path) as recording:
+        _inspect(recording)
+
+
 def _file(name: str) -> Run:
     """A recording of this one file."""
 
     def run(data: bytes, folder: Path) -> None:
         _write(folder, name, data)
-        with open_recording(folder if "/" in name else folder / name) as recording:
-            _inspect(recording)
+        _read_recording(folder if "/" in name else folder / name)
 
     return run
 
 
 def _chunk(data: bytes, folder: Path) -> None:
-    """Records of a chunk of an MCAP without a summary (mcap.dev/spec)."""
-    chunk = struct.pack("<QQQIIQ", 0, 2**62, len(data), 0, 0, len(data)) + data
+    """Records of a chunk of an MCAP without a summary (mcap.dev/spec); the first byte states its unpacked size."""
+    what, data = data[:1], data[1:]
+    size = (0, 1, len(data) + 1, 2**40, 2**63)[what[0] - 251] if what and what[0] > 250 else len(data)
+    chunk = struct.pack("<QQQIIQ", 0, 2**62, size, 0, 0, len(data)) + data
     records = ((6, chunk), (15, bytes(4)), (2, bytes(20)))
     content = b"".join(struct.pack("<BQ", op, len(one)) + one for op, one in records)
     _file("a.mcap")(seeds.MCAP_MAGIC + struct.pack("<BQ", 1, 8) + bytes(8) + content + seeds.MCAP_MAGIC, folder)
@@ -324,13 +364,14 @@ HARNESSES: Mapping[str, Harness] = {
     "URDF update": Harness(_urdf, lambda: [seeds.URDF, *seeds.written("urdf")()], ("<joint", 'xyz="')),
     "truth.yaml": _yaml(_reads("truth.yaml", load_truth), seeds.written("truth.yaml")),
     "scenario": _yaml(_scenario, lambda: list(seeds.SCENARIOS)),
-    "problem.npz": _archive("problem.npz", load_problem),
-    "scene.npz": _archive("scene.npz", _scene),
-    "cache": _archive(f"{seeds.CACHE_KEY}.npz", _cache),
+    "problem.npz": _archive("problem.npz", load_problem, seeds.written("problem.npz")),
+    "scene.npz": _archive("scene.npz", _scene, seeds.written("scene.npz")),
+    "cache": _archive(f"{seeds.CACHE_KEY}.npz", _cache, seeds.written(f"{seeds.CACHE_KEY}.npz")),
     "PCD": Harness(_file("s/1.0.pcd"), seeds.pcds, ("DATA ascii", "POINTS ", "COUNT ", "SIZE ")),
     "PCD, gzipped": Harness(_file("s/1.0.pcd.gz"), lambda: list(map(gzip.compress, seeds.pcds()))),
     "PLY": Harness(_file("s/1.0.ply"), seeds.plys, ("property ", "element ", "double ", "list ")),
     "NPZ": Harness(_file("s/1.0.npz"), seeds.npzs),
+    "NPZ, members": _archive("s/1.0.npz", lambda path: _read_recording(path.parents[1]), seeds.npzs),
     "CSV scan": Harness(_file("s/1.0.csv"), lambda: [seeds.SCAN], ("nan", "inf", "1e300", "1_0")),
     "points as text": Harness(_file("s/1.0.xyz"), lambda: [seeds.POINTS], ("nan", "1e300", "x y z", "#")),
     "image": Harness(_file("s/1.0.png"), seeds.images),

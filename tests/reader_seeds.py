@@ -178,7 +178,7 @@ MESSAGE_TYPES = (
 
 @cache
 def ros_messages() -> tuple[Item, ...]:
-    """One message of each type that calgraph writes."""
+    """One message of each type that calgraph writes, and a scan with several echoes, which it only reads."""
     sensor, image = (12.5, "sensor"), Image(12.5, "sensor", PIXELS)
     camera = CameraModel("pinhole", 8, 6, np.diag([9.0, 9, 1]), np.zeros(5))
     messages: tuple[tuple[Message, Encoding], ...] = (
@@ -187,10 +187,16 @@ def ros_messages() -> tuple[Item, ...]:
         (image, "png"), (CameraInfo(*sensor, camera), "raw"), (Trigger(12.5), "raw"),
     )  # fmt: skip
     written = [serialize_message(STORE, message, encoding) for message, encoding in messages]
-    return tuple(
+    items = [
         Item(f"/t{i}", kind, 10**9 + i, STORE.deserialize_cdr(data, kind))
         for i, (kind, data) in enumerate(written)
-    )
+    ]
+    echo = STORE.types["sensor_msgs/msg/LaserEcho"](echoes=np.ones(2, np.float32))
+    echoes = STORE.types[MESSAGE_TYPES[1]](
+        header=items[0].message.header, angle_min=-0.5, angle_max=0.5, angle_increment=0.25, time_increment=1e-3,
+        scan_time=0.1, range_min=0.5, range_max=8.0, ranges=[echo] * 5, intensities=[],
+    )  # fmt: skip
+    return (*items, Item("/echoes", MESSAGE_TYPES[1], 10**9 + len(items), echoes))
 
 
 def messages() -> list[bytes]:
@@ -248,14 +254,14 @@ def mcaps() -> list[bytes]:
 
 
 def chunks() -> list[bytes]:
-    """What the chunks of an MCAP without compression contain."""
+    """A byte with a right and a wrong size, and then what a chunk of an MCAP without compression contains."""
     data, position, kept = mcaps()[0], len(MCAP_MAGIC), []
     while position < len(data) - len(MCAP_MAGIC):
         op, size = struct.unpack_from("<BQ", data, position)
         if op == 6:
             kept.append(data[position + 9 + 40 : position + 9 + size])
         position += 9 + size
-    return kept
+    return [*(b"\0" + one for one in kept), *(b"\xff" + one for one in kept)]
 
 
 def databases() -> list[bytes]:

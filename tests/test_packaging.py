@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).resolve().parents[1]
-PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PYPROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = PYPROJECT["project"]
 ROS = ROOT / "ros2/calgraph_tree"
 NAMES_OF_CONDA = {"opencv-python-headless": "py-opencv"}
 
@@ -21,6 +22,14 @@ def test_the_conda_recipe_has_the_versions_and_dependencies_of_the_project() -> 
     needed = [re.fullmatch(r"([\w-]+)(.*)", one) for one in PROJECT["dependencies"]]
     expected = {f"{NAMES_OF_CONDA.get(one[1], one[1])} {one[2]}" for one in needed if one}
     assert set(recipe["requirements"]["run"]) == {f"python {PROJECT['requires-python']}", *expected}
+
+
+def test_wheels_have_all_files_of_the_package() -> None:
+    package = ROOT / "src/calgraph"
+    patterns = PYPROJECT["tool"]["setuptools"]["package-data"]["calgraph"]
+    packed = {path for pattern in patterns for path in package.glob(pattern)}
+    files = {path for path in package.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")}
+    assert files - packed == set()
 
 
 def test_the_image_copies_what_exists_and_is_not_ignored() -> None:

@@ -119,7 +119,7 @@ def test_it_calibrates_by_itself_when_the_robot_has_moved_enough(driven: Driven)
     state = driven.state()
     assert state.headline == "Turn about another axis: drive over a ramp, for b"
     assert state.advice is not None
-    assert "±2 cm: drive loops" in state.advice.text
+    assert state.advice.text == "turn about another axis: drive over a ramp; ±2 cm: drive loops"
     assert state.scene is not None
     driven.drive(8, 0.5, yaw=12)
     assert len(driven.pool.calls) == 1

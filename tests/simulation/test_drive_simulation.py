@@ -1,6 +1,7 @@
 """Simulated drives: points lie on the surfaces of the world at the true poses and times; faults are as stated."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import LaserScan, PointCloud, Pose, TurnRate
+from calgraph.simulation import load_truth
+from calgraph.simulation.drive_recording import record_drive
 from calgraph.simulation.drive_scenario import EXACT, STANDARD_RIGS, DriveFaults, DriveScenario, RigName
 from calgraph.simulation.drive_simulation import DriveTruth, SimulatedDrive, simulate_drive
 from calgraph.simulation.drive_world import LAYOUTS, WorldKind
@@ -230,6 +233,13 @@ def test_clocks_and_ranges_are_wrong_as_stated() -> None:
     assert np.ptp(gap[late]) == pytest.approx(1e-3 * np.ptp(stamps[0][late]), abs=1e-5)
     front = [measured_points(drive, "lidar_front")[1] for drive in (right, wrong)]
     assert np.array_equal(front[0], front[1])
+
+
+def test_truth_yaml_holds_the_faults(tmp_path: Path) -> None:
+    scenario = replace(SHORT, duration=2.0, faults=DriveFaults(clock_jump=0.1, bump=(0.05, 2.0)))
+    record_drive(scenario, tmp_path, lambda *_: None)
+    expected = {"lidar_rear": {"clock_jump": 0.1, "bump": [0.05, 2.0], "time": 1.0}}
+    assert load_truth(tmp_path / "truth.yaml").errors == expected
 
 
 def test_truck_covers_a_part_of_the_view() -> None:

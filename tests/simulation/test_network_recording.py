@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calgraph.errors import InputError
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.recording import open_recordings
 from calgraph.sensors import LaserScan
@@ -86,3 +87,10 @@ def test_long_paths_of_many_people_are_in_an_archive(tmp_path: Path, monkeypatch
     truth = load_truth(tmp_path / "truth.yaml")
     assert read_yaml(tmp_path / "truth.yaml")["people"] == "truth_people.npz"
     assert [one.positions.shape for one in truth.people] == [(520, 2)] * 4
+
+
+def test_nothing_is_simulated_where_a_recording_exists(pieces: Path) -> None:
+    reported = []
+    with pytest.raises(InputError, match="exists already"):
+        simulate_network(SCENARIO, pieces, 3, lambda *done: reported.append(done))
+    assert reported == []

@@ -23,7 +23,22 @@ if TYPE_CHECKING:
 
 
 def make_options(rig: Rig, **stated: Any) -> "Options":
-    """The options of calibrations for this target; those that other targets alone have are left out."""
+    """The options of calibrations for this target; those that other targets alone have are left out.
+
+    Args:
+        rig: that states the target.
+        stated: options by name.
+
+    Raises:
+        TypeError: a name is an option of no target.
+    """
+    from calgraph.drive.options import DriveOptions
+    from calgraph.network.options import NetworkOptions
+    from calgraph.rig.options import RigOptions
+
+    known = {field.name for kind in (RigOptions, NetworkOptions, DriveOptions) for field in fields(kind)}
+    if unknown := sorted(stated.keys() - known):
+        raise TypeError(f"no options of calibrations: {', '.join(unknown)}")
     kind = _options_type(rig)
     return kind(**{field.name: stated[field.name] for field in fields(kind) if field.name in stated})
 

@@ -19,7 +19,7 @@ _ROUNDING = 1e-6
 Since = Literal["previous", "first", "reference"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Displacement:
     """How far a sensor is from where it was."""
 

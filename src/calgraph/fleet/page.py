@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from calgraph.config import ChangeRules
@@ -13,23 +13,34 @@ from calgraph.io.atomic import write_text
 from calgraph.report.formatting import format_angle, format_count, format_length
 from calgraph.report.templates import make_environment
 
+
+class State(NamedTuple):
+    """What needs attention of a robot."""
+
+    word: str
+    css: str
+    """Class of its badge."""
+    of_several: str
+    """The same of several robots."""
+
+
 STATES = {
-    "failed": ("failed", "lost", "with recordings that failed"),
-    "moved": ("moved", "lost", "with a sensor that moved"),
-    "off": ("differs", "lost", "that differ from their reference"),
-    "lost": ("not calibrated", "lost", "with sensors that are not calibrated"),
-    "warned": ("warning", "weak", "with warnings"),
-    "weak": ("weak", "weak", "with weak poses"),
-    "pending": ("pending", "weak", "not complete"),
-    "good": ("good", "good", "good"),
+    "failed": State("failed", "lost", "with recordings that failed"),
+    "moved": State("moved", "lost", "with a sensor that moved"),
+    "off": State("differs", "lost", "that differ from their reference"),
+    "lost": State("not calibrated", "lost", "with sensors that are not calibrated"),
+    "warned": State("warning", "weak", "with warnings"),
+    "weak": State("weak", "weak", "with weak poses"),
+    "pending": State("pending", "weak", "not complete"),
+    "good": State("good", "good", "good"),
 }
-"""States of a robot, the most urgent first: word, CSS class of its badge, and the same of several robots."""
+"""States of a robot, the most urgent first."""
 
 
 def summarize_fleet(robots: Sequence[RobotResult]) -> str:
     """One sentence on all robots."""
-    counts = {words: sum(state in robot.states for robot in robots) for state, (*_, words) in STATES.items()}
-    found = [f"{count} {words}" for words, count in counts.items() if count or words == "good"]
+    counts = {state: sum(state in robot.states for robot in robots) for state in STATES}
+    found = [f"{count} {STATES[state].of_several}" for state, count in counts.items() if count or state == "good"]
     return f"{format_count(len(robots), 'robot')}: {', '.join(found)}."
 
 

@@ -1,9 +1,10 @@
 """A live session of a robot that drives: how it has moved, what to drive next, and poses of what was recorded."""
 
 import math
+import time
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from calgraph.config import Rig
@@ -15,7 +16,7 @@ from calgraph.live.drive_motion import DriveMotion, list_needs, measure_motions,
 from calgraph.live.recorded_files import open_growing
 from calgraph.live.recorded_session import RecordedSession
 from calgraph.live.sensor_solution import Solution, describe_sensors
-from calgraph.live.session import ALL_DONE
+from calgraph.live.session import ALL_DONE, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Advice, Need, Phase, SceneState, SessionState
 from calgraph.result import Calibration
@@ -60,22 +61,27 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
 
     solve = staticmethod(solve_drive)
 
-    _measured = -math.inf
-    """Arrival of the last message that odometry has got, s."""
-    _motion = DriveMotion()
-    _unknown = ""
-    """Why nothing is known of the last motion; empty if it is."""
-    _wanted = False
-
-    @cached_property
-    def _measuring(self) -> str | None:
+    def __init__(
+        self,
+        rig: Rig,
+        source: str,
+        pools: SessionPools,
+        recording: Path,
+        print_line: Callable[[str], object],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(rig, source, pools, recording, print_line, clock=clock)
+        self._measuring = select_measuring(rig)
         """The sensor that motion is measured by."""
-        return select_measuring(self.rig)
-
-    @cached_property
-    def _messages(self) -> list[LiveMessage]:
+        self._messages: list[LiveMessage] = []
         """Its last messages."""
-        return []
+        self._measured = -math.inf
+        """Arrival of the last message that odometry has got, s."""
+        self._motion = DriveMotion()
+        self._unknown = ""
+        """Why nothing is known of the last motion; empty if it is."""
+        self._wanted = False
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded."""
@@ -128,7 +134,8 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
         solution, needs = self.solution, self._list_needs()
         lacking = [need.advice for need in needs if not need.done]
         phase, headline = self.find_unheard() or self._describe_phase(lacking)
-        reasons = [clause for one in solution.sensors for clause in split_clauses(one.reason)] if solution else []
+        stated = [one.reason for one in solution.sensors if one.reason] if solution else []
+        reasons = [clause for reason in stated for clause in split_clauses(reason)]
         advice = "; ".join(dict.fromkeys([*lacking, *reasons]))
         unknown = f"Turns and way are not known: {self._measuring}: {self._unknown}" if self._unknown else ""
         return SessionState(

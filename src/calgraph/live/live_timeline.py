@@ -87,6 +87,8 @@ class LiveTimeline:
         self.clock_offsets = {name: one if isinstance(one, float) else 0.0 for name, one in stated.items()}
         """By sensor, s."""
         self._kinds = {name: spec.kind for name, spec in rig.sensors.items()}
+        # Networks and drives estimate clock offsets always, and rig.yaml does not state them.
+        self._clock_remedy = "" if rig.is_network or rig.is_drive else ": state its clock_offset"
         self.sensors = {name: GrowingTimes() for name in rig.sensors}
         """By name."""
         self.start: float | None = None
@@ -149,7 +151,7 @@ class LiveTimeline:
             return f"sends {message_type} messages, and its kind is {kind}"
         if ahead:
             side = "early" if ahead > 0 else "late"
-            return f"has a clock that is {abs(ahead):.1f} s {side}: state its clock_offset"
+            return f"has a clock that is {abs(ahead):.1f} s {side}{self._clock_remedy}"
         return ""
 
     def is_silent(self, name: str) -> bool:

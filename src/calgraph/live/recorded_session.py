@@ -3,7 +3,7 @@
 import math
 import time
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from calgraph.config import Rig
@@ -58,8 +58,7 @@ class RecordedSession(Session[S]):
         for name, topic in self.rig.topics.items():
             if topic == message.channel.topic:
                 try:
-                    record = message.read(self._source, self.rig.settings.limits)
-                    self.timeline.add(name, self.timeline.correct(name, record))
+                    self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
                 except RecordingError as error:
                     self.timeline.sensors[name].note_malformed(str(error))
         self.advance()
@@ -92,15 +91,16 @@ class RecordedSession(Session[S]):
             return "measuring", f"{name_sensors(silent)}: no messages any more"
         return None
 
-    def describe_sensor(self, name: str) -> SensorState:
-        """A sensor by its messages; see :meth:`Session.describe_sensor`."""
-        times, solved = self.timeline.sensors[name], self.find_solved(name)
-        problems = times.describe_malformed(), self.timeline.find_problems().get(name)
-        return SensorState(
-            name=name,
-            kind=self.rig.sensors[name].kind,
-            rate=times.rate,
-            problem="; ".join(filter(None, problems)),
-            reason=solved.reason if solved else "",
-            captures=solved.tracks if solved else 0,
-        )
+    def list_sensor_states(self) -> Iterator[SensorState]:
+        """Sensors by their messages; see :meth:`Session.list_sensor_states`."""
+        problems = self.timeline.find_problems()
+        for name, spec in self.rig.sensors.items():
+            times, solved = self.timeline.sensors[name], self.find_solved(name)
+            yield SensorState(
+                name=name,
+                kind=spec.kind,
+                rate=times.rate,
+                problem="; ".join(filter(None, (times.describe_malformed(), problems.get(name)))),
+                reason=solved.reason if solved else "",
+                captures=solved.tracks if solved else 0,
+            )

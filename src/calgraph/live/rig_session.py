@@ -1,6 +1,6 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -126,22 +126,24 @@ class RigSession(Session[LiveSolution]):
             scene=solution.scene if solution else None,
         )
 
-    def describe_sensor(self, name: str) -> SensorState:
-        """A sensor by its messages and captures; see :meth:`Session.describe_sensor`."""
+    def list_sensor_states(self) -> Iterator[SensorState]:
+        """Sensors by their messages and captures; see :meth:`Session.list_sensor_states`."""
         analysis, captures = self.analysis, self.taker.captures
-        times, activity = analysis.timeline.sensors[name], analysis.sensors[name]
-        return SensorState(
-            name=name,
-            kind=self.rig.sensors[name].kind,
-            rate=times.rate,
-            problem=analysis.timeline.find_problems().get(name, "") or times.describe_malformed(),
-            sees_board=activity.view.sees_board if activity.view else None,
-            reason=activity.explain_view(),
-            moving=analysis.rests.is_moving(name),
-            captures=sum(name in capture.sensors for capture in captures),
-            coverage=count_coverage(name, self.rig, analysis.detectors.cameras.get(name), captures),
-            picture=activity.pictures,
-        )
+        problems = analysis.timeline.find_problems()
+        for name, spec in self.rig.sensors.items():
+            times, activity = analysis.timeline.sensors[name], analysis.sensors[name]
+            yield SensorState(
+                name=name,
+                kind=spec.kind,
+                rate=times.rate,
+                problem=problems.get(name, "") or times.describe_malformed(),
+                sees_board=activity.view.sees_board if activity.view else None,
+                reason=activity.explain_view(),
+                moving=analysis.rests.is_moving(name),
+                captures=sum(name in capture.sensors for capture in captures),
+                coverage=count_coverage(name, self.rig, analysis.detectors.cameras.get(name), captures),
+                picture=activity.pictures,
+            )
 
     def _describe_phase(self) -> tuple[Phase, str]:
         analysis, taker = self.analysis, self.taker

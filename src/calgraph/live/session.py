@@ -3,7 +3,7 @@
 import asyncio
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -85,11 +85,15 @@ class Session(ABC, Generic[S]):
 
     @abstractmethod
     def describe(self) -> SessionState:
-        """The session now, without what all sessions have."""
+        """The session now, without what all sessions have.
+
+        :meth:`state` adds source, root, sensors, tolerances and done, and what concerns connection, recorder and
+        end.
+        """
 
     @abstractmethod
-    def describe_sensor(self, name: str) -> SensorState:
-        """A sensor, without its pose."""
+    def list_sensor_states(self) -> Iterator[SensorState]:
+        """The sensors in the order of rig.yaml, without their poses."""
 
     @property
     def done(self) -> bool:
@@ -155,7 +159,7 @@ class Session(ABC, Generic[S]):
     def state(self) -> SessionState:
         """The session now."""
         shown, rig = self.describe(), self.rig
-        sensors = (self.describe_sensor(name).with_pose(self.find_solved(name), rig.root) for name in rig.sensors)
+        sensors = (one.with_pose(self.find_solved(one.name), rig.root) for one in self.list_sensor_states())
         killed = next((queue.problem for queue in self._queues if queue.problem), "")
         headline = f"Only recording goes on: {killed}" if killed else self._problem or shown.headline
         phase, headline, done = self._end or (shown.phase, headline, self.done)

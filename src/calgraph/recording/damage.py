@@ -74,7 +74,11 @@ def _explain(error: Exception) -> str:
 
 
 def check_unpacked_size(size: int, limits: LimitSettings) -> None:
-    """Raises ValueError where data are larger than the limit, before or while they are unpacked; bytes."""
+    """Checks the size of data before or while they are unpacked, bytes.
+
+    Raises:
+        ValueError: they are larger than the limit.
+    """
     if size > limits.max_unpacked_bytes:
         raise ValueError(
             f"unpacks to more than the limit of {limits.max_unpacked_bytes / 1e6:.0f} MB: it is damaged, or needs "
@@ -83,10 +87,17 @@ def check_unpacked_size(size: int, limits: LimitSettings) -> None:
 
 
 def check_pixel_count(width: int, height: int, limits: LimitSettings, *, several_scans: bool = False) -> None:
-    """Raises ValueError where an image is larger than the limit, before it is decoded; pixels.
+    """Checks the size of an image before it is decoded, pixels.
 
-    The decoder of a JPEG in several scans keeps all coefficients, 2 bytes for each of up to three channels, beside
-    3 bytes of each pixel: a third of the pixels is allowed.
+    Args:
+        width: columns.
+        height: rows.
+        limits: that state how many pixels are allowed.
+        several_scans: whether it is a JPEG in several scans. Its decoder keeps all coefficients, 2 bytes for each
+            of up to three channels, besides 3 bytes of each pixel: a third of the pixels is allowed.
+
+    Raises:
+        ValueError: it is larger than the limit.
     """
     allowed = limits.max_image_pixels // 3 if several_scans else limits.max_image_pixels
     if width * height > allowed:
@@ -98,7 +109,11 @@ def check_pixel_count(width: int, height: int, limits: LimitSettings, *, several
 
 
 def check_point_count(count: int, limits: LimitSettings) -> None:
-    """Raises ValueError where a cloud has more points, or a scan more beams, than the limit."""
+    """Checks the number of points of a cloud, or of beams of a scan.
+
+    Raises:
+        ValueError: there are more than the limit.
+    """
     if count > limits.max_points:
         raise ValueError(
             f"has {count} points, more than the limit of {limits.max_points}: it is damaged, or needs "

@@ -188,7 +188,7 @@ _Content = tuple[str, dict[str, Any]]
 """A ROS type, and its fields; the header is that of the message where they have none."""
 
 
-def _image(_: Typestore, image: Image, encoding: Encoding) -> _Content:
+def _image(_store: Typestore, image: Image, encoding: Encoding) -> _Content:
     if encoding != "raw" and image.depth is None:
         data, declared = encode_image(image.pixels, encoding)
         return "sensor_msgs/msg/CompressedImage", {"format": declared, "data": np.frombuffer(data, np.uint8)}
@@ -206,7 +206,7 @@ def _image(_: Typestore, image: Image, encoding: Encoding) -> _Content:
     }
 
 
-def _laser_scan(_: Typestore, scan: LaserScan, __: Encoding) -> _Content:
+def _laser_scan(_store: Typestore, scan: LaserScan, _encoding: Encoding) -> _Content:
     n = len(scan.angles)
     increment = float(scan.angles[-1] - scan.angles[0]) / (n - 1) if n > 1 else 0.0
     start = float(scan.angles[0]) if n else 0.0
@@ -228,7 +228,7 @@ def _laser_scan(_: Typestore, scan: LaserScan, __: Encoding) -> _Content:
     }
 
 
-def _point_cloud(store: Typestore, cloud: PointCloud, _: Encoding) -> _Content:
+def _point_cloud(store: Typestore, cloud: PointCloud, _encoding: Encoding) -> _Content:
     columns: dict[str, tuple[str, int, Any]]
     columns = {axis: ("<f4", 7, cloud.points[:, i]) for i, axis in enumerate("xyz")}
     if cloud.rings is not None:
@@ -255,7 +255,7 @@ def _point_cloud(store: Typestore, cloud: PointCloud, _: Encoding) -> _Content:
     }
 
 
-def _camera_info(store: Typestore, info: CameraInfo, _: Encoding) -> _Content:
+def _camera_info(store: Typestore, info: CameraInfo, _encoding: Encoding) -> _Content:
     camera = info.camera
     pinhole = "rational_polynomial" if camera.distortion.size == 8 else "plumb_bob"
     roi = store.types["sensor_msgs/msg/RegionOfInterest"]
@@ -277,7 +277,7 @@ def _vector(store: Typestore, values: Array, name: str = "Vector3") -> Any:
     return store.types[f"geometry_msgs/msg/{name}"](**dict(zip("xyzw", values.tolist(), strict=False)))
 
 
-def _odometry(store: Typestore, one: Pose, _: Encoding) -> _Content:
+def _odometry(store: Typestore, one: Pose, _encoding: Encoding) -> _Content:
     types, none, zero = store.types, np.zeros(36), _vector(store, np.zeros(3))
     pose = types["geometry_msgs/msg/Pose"](
         position=_vector(store, one.position, "Point"), orientation=_vector(store, one.quaternion, "Quaternion")
@@ -291,7 +291,7 @@ def _odometry(store: Typestore, one: Pose, _: Encoding) -> _Content:
     }
 
 
-def _imu(store: Typestore, one: TurnRate, _: Encoding) -> _Content:
+def _imu(store: Typestore, one: TurnRate, _encoding: Encoding) -> _Content:
     # A covariance that begins with -1 states that there is no such measurement.
     missing = np.array([-1.0, *np.zeros(8)])
     return "sensor_msgs/msg/Imu", {

@@ -102,13 +102,14 @@ class ErrorBudget:
         assert self.covariance is not None, "a budget of a file has no covariances between sensors"
         rows = np.concatenate([6 * a + np.arange(6), 6 * b + np.arange(6)])
         joint = self.covariance[np.ix_(np.arange(len(self.sources)), rows, rows)]
-        return relative_covariances(T_root_a, T_root_b, joint)
+        return propagate_to_relative(T_root_a, T_root_b, joint)
 
 
-def relative_covariances(T_root_a: Array, T_root_b: Array, joint: Array) -> Array:
+def propagate_to_relative(T_root_a: Array, T_root_b: Array, joint: Array) -> Array:
     """(N, 6, 6) of the error of ``T_a_b`` in the fixed axes of a, from those (N, 12, 12) of both poses.
 
-    NaN where one of both was not measured, as all frames of a network have the same horizontal plane.
+    NaN for axes that were not measured of one of both. They are the same axes of the root and of a: all frames of
+    a network have the same horizontal plane, and of a gyroscope no axis of the position is measured.
     """
     unmeasured = np.asarray(np.isnan(np.diagonal(joint, axis1=1, axis2=2)).any(axis=0))
     known = np.where(unmeasured | unmeasured[:, None], 0.0, joint)

@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
-from calgraph.result.budget import ErrorBudget, relative_covariances
+from calgraph.result.budget import ErrorBudget, propagate_to_relative
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
@@ -236,7 +236,7 @@ class Calibration:
             raise CalibrationError(
                 f"the correlation of the errors of {a!r} and {b!r} is unknown: this result does not state it"
             )
-        return np.asarray(relative_covariances(T_root_a, T_root_b, joint[None])[0])
+        return np.asarray(propagate_to_relative(T_root_a, T_root_b, joint[None])[0])
 
 
 def join_covariances(covariances: Sequence[Array]) -> Array:

@@ -417,9 +417,17 @@ def _pose(entry: _Sensor | _Suggestion | _Remedy) -> Array:
 
 def _sensor(name: str, entry: _Sensor, verdict: Verdict) -> SensorPose:
     return SensorPose(
-        name, entry.parent, entry.frame_id, entry.kind, _pose(entry), verdict, entry.clock_offset,
-        entry.clock_offset_stddev, entry.stated, entry.intrinsics,
-    )  # fmt: skip
+        name=name,
+        parent=entry.parent,
+        frame_id=entry.frame_id,
+        kind=entry.kind,
+        T_root_sensor=_pose(entry),
+        verdict=verdict,
+        stated=entry.stated,
+        intrinsics=entry.intrinsics,
+        clock_offset=entry.clock_offset,
+        clock_offset_stddev=entry.clock_offset_stddev,
+    )
 
 
 def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
@@ -471,7 +479,14 @@ def _remedy(entry: _Remedy) -> Remedy:
 
 def _edge(entry: _Edge) -> Edge:
     return Edge(
-        *entry.sensors, entry.captures, entry.inliers, entry.in_tree, np.empty(0), entry.note, entry.residual_rms
+        sensor_a=entry.sensors[0],
+        sensor_b=entry.sensors[1],
+        captures=entry.captures,
+        inliers=entry.inliers,
+        in_tree=entry.in_tree,
+        residuals=np.empty(0),
+        note=entry.note,
+        residual_rms=entry.residual_rms,
     )
 
 

@@ -139,11 +139,10 @@ def stddev_along_axes(T_root_sensor: Array, covariance: Array) -> Array:
 def choose_axis_length(sensors: Sequence[SensorPose], longest: float) -> float:
     """Length of the axes of frames in pictures, m: clear of their neighbours, yet visible."""
     origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in sensors])
-    if len(origins) < 2:
-        return 0.25
     distances = np.linalg.norm(origins[:, None] - origins, axis=-1)
     np.fill_diagonal(distances, np.inf)
-    return float(np.clip(0.4 * np.median(distances.min(axis=1)), 0.05, longest))
+    spacing = np.median(distances.min(axis=1))
+    return float(np.clip(0.4 * spacing, 0.05, longest)) if np.isfinite(spacing) else 0.25
 
 
 # Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).

@@ -75,7 +75,7 @@ class DetectedCorners:
 
     @property
     def is_empty(self) -> bool:
-        """See :class:`Image`."""
+        """See :class:`_Whole`."""
         return not len(self.pixels)
 
     @property
@@ -127,7 +127,7 @@ class LaserScan:
 
     @property
     def is_empty(self) -> bool:
-        """See :class:`Image`."""
+        """See :class:`_Whole`."""
         return not self.valid.any()
 
     @property
@@ -160,7 +160,7 @@ class PointCloud:
 
     @property
     def is_empty(self) -> bool:
-        """See :class:`Image`."""
+        """See :class:`_Whole`."""
         return not len(self.points)
 
     @property

@@ -51,12 +51,28 @@ def record_drive(scenario: DriveScenario, out: Path, progress: Progress) -> None
             one.board.model_dump(mode="json", exclude_defaults=True) for one in truth.boards.boards
         ]
     rig = {"root": drive.root, "target": target, "sensors": sensors}
-    found = GroundTruth(drive.root, truth.T_root_sensor, (), truth.clock_offsets, T_base_root=truth.T_base_root)
+    found = GroundTruth(
+        drive.root, truth.T_root_sensor, (), truth.clock_offsets, errors=_describe_faults(scenario),
+        T_base_root=truth.T_base_root,
+    )  # fmt: skip
     write_simulation(out, rig, found, messages, lambda done: progress(done, len(messages)))
     rows = np.column_stack(
         [truth.times, truth.T_world_root[:, :3, 3], so3.quaternion(truth.T_world_root[:, :3, :3])]
     )
     np.savetxt(out / "trajectory.txt", rows, "%.6f")
+
+
+def _describe_faults(scenario: DriveScenario) -> dict[str, dict[str, Any]]:
+    """What is wrong with the faulty sensor, if anything is."""
+    faults = scenario.faults
+    found: dict[str, Any] = {
+        name: getattr(faults, name)
+        for name in ("clock_drift", "clock_jump", "range_scale")
+        if getattr(faults, name)
+    }
+    if any(faults.bump):
+        found["bump"] = list(faults.bump)
+    return {scenario.faulty: {**found, "time": faults.time * scenario.duration}} if found else {}
 
 
 def _list_messages(drive: SimulatedDrive) -> Iterator[SerializedMessage]:

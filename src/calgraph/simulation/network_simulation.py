@@ -9,8 +9,8 @@ each; the recording is then merged from these.
 """
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -298,24 +298,24 @@ def simulate_network(
         if progress:
             progress(done, total)
 
-    with _simulate_groups(network, groups, out / "recording", jobs, report) as streams:
+    # Nothing is simulated before the first message is asked for, when it is known that no recording exists yet.
+    with closing(_simulate_groups(network, groups, out / "recording", jobs, report)) as messages:
         write_simulation(
             out,
             describe_rig(network_rig(network)),
             network_truth(network),
-            heapq.merge(*streams, key=lambda message: message.arrival),
+            messages,
             lambda done: report(total - scans + done),
             scenario.max_file_duration,
         )
 
 
-@contextmanager
 def _simulate_groups(
     network: SimulatedNetwork, groups: Sequence[range], recording: Path, jobs: int, report: Callable[[int], None]
-) -> Iterator[list[Iterable[SerializedMessage]]]:
-    """The messages of each group of scanners in order; ``report`` hears of the scans simulated before."""
+) -> Generator[SerializedMessage, None, None]:
+    """The messages of all groups of scanners in order; ``report`` hears of the scans simulated before."""
     if len(groups) == 1:
-        yield [_simulate_group(network, groups[0])]
+        yield from _simulate_group(network, groups[0])
         return
     with ExitStack() as stack:
         place = make_temporary_folder(recording)
@@ -326,7 +326,8 @@ def _simulate_groups(
         for count in Processes(jobs).map(_write_group, work):
             done += count
             report(done)
-        yield [_read_group(path, stack) for *_, path in work]
+        streams = [_read_group(path, stack) for *_, path in work]
+        yield from heapq.merge(*streams, key=lambda message: message.arrival)
 
 
 def _write_group(network: SimulatedNetwork, scanners: range, path: Path) -> int:

@@ -66,7 +66,7 @@ class GroundTruth:
     people: tuple[PersonTruth, ...] = ()
     """The moving bodies of a network."""
     errors: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """By scanner of a network, what is wrong with it."""
+    """By sensor of a network or of a drive, what is wrong with it."""
     T_base_root: Array | None = None
     """(4, 4) of the root on a vehicle, in the frame on the floor below the centre of its rear axle."""
 

@@ -44,16 +44,16 @@ class SensorKind:
     """In which it is drawn on a dark page."""
     default_name: str
     """Of a sensor whose topic has only generic parts."""
-    drafted_noise: str = ""
-    """The noise that a drafted rig.yaml states."""
-    residual: str = ""
+    residual: str
     """What its residuals on a board are called."""
-    noise_causes: str = ""
+    noise_causes: str
     """What to check where its measurements are noisier than stated,"""
-    error_causes: str = ""
+    error_causes: str
     """and where its residuals contradict those of other sensors."""
-    correction: str = ""
+    correction: str
     """How its data are corrected by its systematic parameters, for people and other programs."""
+    drafted_noise: str = ""
+    """The noise that a drafted rig.yaml states, of kinds whose noise is stated."""
     claims: Callable[[Message], bool] = lambda _message: False
     """Whether a topic is of this kind by its first message, for any type of topic."""
     convert: Callable[[Image, CameraModel], Message] | None = None
@@ -85,5 +85,9 @@ FLOOR = SensorKind(
     shape="axes",
     color="#a8a8a8",
     default_name="floor",
+    residual="",
+    noise_causes="",
+    error_causes="",
+    correction="",
 )
 """The root of a network may be the floor: no sensor, but a frame that poses are stated in."""
