@@ -64,9 +64,9 @@ def detect_corners(drive: SimulatedDrive, mount: DriveMount, rng: np.random.Gene
         late = np.clip(late, -errors.readout, errors.readout)
         pixels = pixels + late[..., None] * _flow(motion, mount, camera, times, points)
         blur = np.linalg.norm(_flow(motion, mount, camera, times, points), axis=-1) * errors.exposure
-        seen = _select_tags(pixels, blur, camera, motion, mount, times, board, surfaces)
-        for k in np.flatnonzero(seen.any(axis=1)):
-            tags = np.flatnonzero(seen[k])
+        visible = _select_tags(pixels, blur, camera, motion, mount, times, board, surfaces)
+        for k in np.flatnonzero(visible.any(axis=1)):
+            tags = np.flatnonzero(visible[k])
             noise = errors.corner * (1 + 0.7 * blur[k].reshape(-1, 4)[tags, :, None])
             measured = pixels[k].reshape(-1, 4, 2)[tags] + noise * rng.normal(size=(len(tags), 4, 2))
             # Blur and light displace the corners of a view together.
@@ -119,11 +119,11 @@ def _select_tags(
     toward = T[:, :3, 3] - board.T_world_board[:3, 3]
     distance = np.linalg.norm(toward, axis=1)
     cosine = toward @ board.T_world_board[:3, 2] / distance
-    seen = inside & (edges.min(axis=2) > _MIN_TAG_PIXELS) & (blur.reshape(N, -1, 4).max(axis=2) < _MAX_BLUR)
-    seen &= (cosine > _MIN_COSINE)[:, None]
-    candidates = np.flatnonzero(seen.any(axis=1))
+    visible = inside & (edges.min(axis=2) > _MIN_TAG_PIXELS) & (blur.reshape(N, -1, 4).max(axis=2) < _MAX_BLUR)
+    visible &= (cosine > _MIN_COSINE)[:, None]
+    candidates = np.flatnonzero(visible.any(axis=1))
     if len(candidates):
         toward_board = -toward[candidates] / distance[candidates, None]
         hidden = cast_rays(surfaces, T[candidates, :3, 3], toward_board).ranges < distance[candidates] - 0.1
-        seen[candidates[hidden]] = False
-    return np.asarray(seen)
+        visible[candidates[hidden]] = False
+    return np.asarray(visible)

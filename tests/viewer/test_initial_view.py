@@ -1,4 +1,4 @@
-"""From where the scene is first seen, and how long its axes are."""
+"""From where the scene is viewed at first, and how long its axes are."""
 
 from dataclasses import replace
 

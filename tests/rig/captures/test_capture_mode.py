@@ -1,6 +1,7 @@
 """How a recording shows the board, from its stamps."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from calgraph.config import Capture
 from calgraph.config.settings import CaptureSettings, MovingBoardSettings
 from calgraph.geometry import Array
-from calgraph.rig.captures.capture_mode import recognize_mode
+from calgraph.recording import open_recording
+from calgraph.rig.captures.capture_mode import recognize_mode, recognize_recording
 from calgraph.rig.captures.holds import find_holds
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 
@@ -173,3 +175,18 @@ def test_captures_have_the_frames_before_and_after_beside_them() -> None:
     assert len(stamps) == len(set(stamps))
     for stamp in chosen[1:-1]:
         assert np.sort(np.abs(np.array(stamps) - stamp))[2] < 0.051
+
+
+def test_a_recording_with_a_stamp_a_year_ahead_has_no_mode(tmp_path: Path) -> None:
+    """A draft of rig.yaml leaves the mode open; the calibration names the sensor."""
+    ranges = 3 + np.random.default_rng(0).normal(0, 0.01, (60, 100)) - (np.arange(60) > 30)[:, None]
+    for name, last in (("left", 365 * 86400.0), ("right", 0.0)):
+        (tmp_path / name).mkdir()
+        for i, row in enumerate(ranges):
+            stamp = 1000 + 0.1 * i + (last if i == len(ranges) - 1 else 0.0)
+            np.savez(
+                tmp_path / name / f"{stamp:.1f}.npz",
+                stamp=stamp, angle_min=-0.5, angle_increment=0.01, time_increment=0.0, ranges=row,
+            )  # fmt: skip
+    with open_recording(tmp_path) as recording:
+        assert recognize_recording(recording, ["left", "right"], CaptureSettings()) is None
