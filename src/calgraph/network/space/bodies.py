@@ -36,8 +36,8 @@ class Bodies:
 
 # Heights of points that are clustered, and of the upper body, whose silhouette is measured, m over the floor.
 _HEIGHTS, _UPPER = (0.4, 2.2), (0.9, 1.9)
-# Heights between its slices, m: hips with hands that swing; chest; shoulders and head. In simulated halls the errors
-# of their middles within a second are 26, 16 and 10 mm.
+# Heights between its slices, m: hips with hands that swing; chest; shoulders and head. Errors of their middles
+# that last for a second are 26, 16 and 10 mm in a simulated hall.
 _SLICES = 1.2, 1.5
 # Edge of cells on the floor, m; cells at most two apart are of one body: gaps of 0.3 m between points.
 _CELL, _REACH = 0.15, 2
@@ -141,7 +141,7 @@ def _find_seams(times: Array, label: Index, duration: float) -> NDArray[np.bool_
 
 
 def _measure_slices(bearing: Array, distance: Array, height: Array, number: Index, heading: Array) -> Array:
-    """(C, B, 3) middles of the slices of bodies: of points by their bodies (P,), at bearings from a heading (C,)."""
+    """(C, B, 3) middles of slices of bodies: of points by their bodies (P,), at bearings from a heading (C,)."""
     B = len(_SLICES) + 1
     key = number * B + np.searchsorted(_SLICES, height)
     order = np.lexsort((bearing, key))

@@ -27,8 +27,8 @@ class BodyTrack:
     times: Array
     """(T,) s, by the sensor's clock, ascending: mean time of its points, the same for the slices of a sweep."""
     centers: Array
-    """(T, 3) sensor frame, m: the middle of the silhouette of a slice of the body at the median horizontal range of
-    its front surface, at the mean height of its points."""
+    """(T, 3) sensor frame, m: the middle of the silhouette of a slice of the body at the median horizontal range
+    of its front surface, at the mean height of its points."""
     radial_stddev: Array
     """(T,) first guess, m."""
     tangential_stddev: Array

@@ -52,7 +52,7 @@ SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
 # By how much slices that 2-D scanners measure, of legs, hips or chests, are less known: depths are twice as
 # different. Their lean is that of this height over the middle of the upper body, m: legs do not lean.
 _UNKNOWN_SLICE, _BELOW = np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]), -0.4
-# Depth and its change with the aspect of the highest slice, m: heads of 0.2 by 0.16 m, and necks, are nearly round.
+# Depth and its change with the aspect of the highest slice, m: heads of 0.2 by 0.16 m, and necks are round.
 _HEAD = 0.07, 0.0
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
 _PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
@@ -117,8 +117,9 @@ def expect_shapes(bands: int) -> tuple[Array, Array]:
 
 
 def _repeat_stddev(of_upper: Array, bands: int) -> Array:
-    lower = np.tile(_UNKNOWN_SLICE * of_upper, bands - UPPER_SLICES)
-    return np.concatenate([np.tile(of_upper, UPPER_SLICES), lower])
+    stddev = np.tile(of_upper, (bands, 1))
+    stddev[UPPER_SLICES:] *= _UNKNOWN_SLICE
+    return stddev.ravel()
 
 
 def reduce_person(

@@ -41,8 +41,7 @@ class BodySamples:
     stddev: Array
     """(N, 2) radial and tangential, first guesses, m."""
     band: Index
-    """(N,) which slice of bodies: the first are of upper bodies, which 3-D LiDARs measure; each 2-D scanner has its
-    own."""
+    """(N,) which slice of bodies: the first are those of :data:`UPPER_SLICES`; each 2-D scanner has its own."""
 
 
 def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
