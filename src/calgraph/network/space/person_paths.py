@@ -47,15 +47,16 @@ and back, m, lean, and the change of the depth with height and with distance."""
 SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
 """(6,) the mean over persons: an ellipse of 0.25 by 0.45 m has a depth of 0.15 m, and 0.045 of it with the aspect,
 at its median beam."""
-SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
-"""(6,) how well it is known before."""
+SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.02])
+"""(6,) how well it is known before. Depths change by up to 5 mm with each metre of distance, which would
+else be taken for a scale of ranges."""
 # By how much slices that 2-D scanners measure, of legs, hips or chests, are less known: depths are twice as
 # different. Their lean is that of this height over the middle of the upper body, m: legs do not lean.
 _UNKNOWN_SLICE, _BELOW = np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]), -0.4
 # Depth and its change with the aspect of the highest slice, m: heads of 0.2 by 0.16 m, and necks are round.
 _HEAD = 0.07, 0.0
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
-_PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
+_PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.005])
 # Height in the middle of the upper body, and usual distance, m.
 _MIDDLE, _USUAL_DISTANCE = 1.35, 8.0
 # Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks swings with
