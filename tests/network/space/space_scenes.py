@@ -91,7 +91,7 @@ def _track(
     measured *= 1 + state.range_bias / ranges
     stddev = np.full(len(times), 0.02)
     stamps = times + state.clock_offset + jump * (times > duration / 2)
-    return BodyTrack(stamps, measured, stddev, stddev, np.full(len(times), 20))
+    return BodyTrack(stamps, measured, stddev, stddev, np.zeros(len(times), dtype=np.intp))
 
 
 def _flatten(points: Array) -> Array:

@@ -4,17 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.geometry import se3
 from calgraph.network.space.person_paths import (
     SHAPE,
     SHARED_MEAN,
     BodyNoise,
     LocalPerson,
     add_persons,
+    expect_shapes,
     reduce_person,
     reduce_persons,
 )
-from calgraph.network.space.persons import find_persons, gather_samples
+from calgraph.network.space.persons import BodySamples, find_persons, gather_samples
 from calgraph.parallel.engine import THIS_PROCESS, Processes
+from calgraph.surfaces.sensor_states import SensorState
 from network.space.space_scenes import build_scene, prior_of
 
 NOISE = BodyNoise(np.ones(2), np.array([0.03, 0.02]))
@@ -36,6 +39,24 @@ def test_sums_over_persons_are_those_of_the_equations_of_all_sensors() -> None:
     scores = np.concatenate([one.scores[:, columns] for one in whole])
     np.testing.assert_allclose(people.scores.toarray(), scores, rtol=1e-9, atol=1e-6)
     assert set(people.source % 4) == {0, 1, 3}
+
+
+def test_a_head_ahead_of_the_chest_is_so_of_who_stands_too() -> None:
+    """A person walks along x for 4 s, and stands for 4 s: views of the head have no errors then."""
+    times = np.repeat(np.arange(0, 8, 0.1), 4)
+    sensor, band = np.tile([0, 0, 1, 1], 80), np.tile([1, 2, 1, 2], 80)
+    axis = np.column_stack([1.2 * np.minimum(times, 4.0) + 0.08 * (band == 2), np.full(len(times), 3.0)])
+    origin = np.array([[0.0, 0.0], [5.0, 9.0]])[sensor]
+    away = axis - origin
+    center = axis - np.where(band == 2, 0.07, 0.13)[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+    heights = np.where(band == 2, 1.65, 1.35)
+    states = [SensorState(se3.pose(np.eye(3), np.array([*one, 0.0]))) for one in ((0.0, 0.0), (5.0, 9.0))]
+    places = np.column_stack([center - origin, heights])
+    samples = BodySamples(sensor, sensor, times, places, np.full((len(times), 2), 0.02), band)
+    noise = BodyNoise(np.ones(6), np.full(6, 0.02))
+    of_views = reduce_person(samples, states, noise, expect_shapes(3)[0]).view
+    stddev = np.sqrt(of_views[[2, 5], 0] / of_views[[2, 5], 1])
+    assert np.all(stddev < 0.02)
 
 
 def test_equations_have_the_same_bits_in_other_processes() -> None:

@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.config.settings import TrackingSettings
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, Index, se3
 from calgraph.network.space.bodies import Bodies
 from calgraph.network.space.observations import BodyTrack, SpaceObservations
 from calgraph.network.tracking.association import associate
@@ -18,6 +17,9 @@ from calgraph.network.tracking.track_scanner import is_moving_target
 
 # Standard deviation of a centre about the body's, m: fronts of bodies that turn, and edges between beams.
 _CENTER_STDDEV = 0.1
+# First guesses: the surface about the middle of a slice, and that of the middle of its silhouette, m; and the
+# error of that by beams, rad (0.15°), which are 0.1 to 0.4° apart.
+_RADIAL, _TANGENTIAL, _BEARING = 0.04, 0.02, float(np.radians(0.15))
 # Longest time between measurements of one track, s: four missed sweeps of 10 Hz.
 _MAX_GAP = 0.45
 # From the visible surface of a body to its axis, m: half the depth of a chest.
@@ -48,22 +50,28 @@ def track_bodies(bodies: Bodies, T_floor_sensor: Array, settings: TrackingSettin
     T_sensor_floor = se3.inverse(T_floor_sensor)
     pieces = [piece for members in identities for piece in _cut(members, bodies)]
     return tuple(
-        BodyTrack(
-            bodies.times[piece],
-            se3.apply(T_sensor_floor, bodies.centers[piece]),
-            bodies.stddev[piece, 0],
-            bodies.stddev[piece, 1],
-            bodies.counts[piece],
-        )
+        _build_track(bodies, piece, T_sensor_floor)
         for piece in sorted(pieces, key=lambda piece: float(bodies.times[piece[0]]))
         if len(piece) >= settings.motion.min_detections
+    )
+
+
+def _build_track(bodies: Bodies, piece: Index, T_sensor_floor: Array) -> BodyTrack:
+    row, slices = np.nonzero(np.isfinite(bodies.slices[piece, :, 0]))
+    centers = bodies.slices[piece[row], slices]
+    return BodyTrack(
+        bodies.times[piece[row]],
+        se3.apply(T_sensor_floor, centers),
+        np.full(len(row), _RADIAL),
+        np.hypot(_TANGENTIAL, _BEARING * np.hypot(*centers[:, :2].T)),
+        slices,
     )
 
 
 def to_scanner_tracks(observations: SpaceObservations, settings: TrackingSettings) -> ScannerTracks:
     """The tracks in the levelled plane, at the axes of bodies, and walls, as those of a planar scanner there."""
     tracks = []
-    for track in observations.tracks:
+    for track in map(_join_slices, observations.tracks):
         centers = se3.apply(observations.T_floor_sensor, track.centers)[:, :2]
         distance = np.linalg.norm(centers, axis=1, keepdims=True)
         tracks.append((track, centers * (1 + _BODY_RADIUS / np.maximum(distance, _BODY_RADIUS))))
@@ -72,7 +80,15 @@ def to_scanner_tracks(observations: SpaceObservations, settings: TrackingSetting
     return ScannerTracks(smoothed, walls, stddev, observations.coverage)
 
 
-def _cut(members: NDArray[np.intp], bodies: Bodies) -> list[NDArray[np.intp]]:
+def _join_slices(track: BodyTrack) -> BodyTrack:
+    """With the mean of the slices at each time."""
+    first = np.flatnonzero(np.diff(track.times, prepend=-np.inf))
+    values = np.column_stack([track.centers, track.radial_stddev, track.tangential_stddev])
+    mean = np.add.reduceat(values, first) / np.diff(first, append=len(values))[:, None]
+    return BodyTrack(track.times[first], mean[:, :3], mean[:, 3], mean[:, 4], np.zeros(len(first), dtype=np.intp))
+
+
+def _cut(members: Index, bodies: Bodies) -> list[Index]:
     """The measured parts of an identity between others nearby, and long gaps."""
     met = np.cumsum(~bodies.alone[members])
     keep = bodies.alone[members] & bodies.whole[members]

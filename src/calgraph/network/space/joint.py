@@ -23,7 +23,7 @@ from calgraph.network.space.person_paths import (
     reduce_persons,
     release_periods,
 )
-from calgraph.network.space.persons import find_persons, gather_samples
+from calgraph.network.space.persons import UPPER_SLICES, find_persons, gather_samples
 from calgraph.network.space.static_surfaces import (
     SharedSurfaces,
     compare_walls,
@@ -111,13 +111,13 @@ def solve_space(
     free, start = prior > 0, states
     count = int(free.sum())
     flat: NDArray[np.bool_] = np.array([one.flat for one in observations])
-    expected, stddev = expect_shapes(1 + int(flat.sum()))
+    expected, stddev = expect_shapes(UPPER_SLICES + int(flat.sum()))
     information = np.concatenate([prior[free], stddev]) ** -2.0
     samples = gather_samples(observations)
     points = [thin_points(one.static.points, one.flat) for one in observations]
     noise = NoiseModel.at_start(len(states))
-    views = [lidars if k == 0 else scanner for lidars, scanner in _START_VIEWS for k in range(1 + int(flat.sum()))]
-    body_noise, body = BodyNoise(np.ones(len(views)), np.array(views)), expected
+    views = np.repeat(np.array(_START_VIEWS).ravel(), [UPPER_SLICES, int(flat.sum())] * 2)
+    body_noise, body = BodyNoise(np.ones(len(views)), views), expected
     persons: list[LocalPerson] = []
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:

@@ -25,16 +25,16 @@ class BodyTrack:
     """One person, or cart, in one sensor over an interval without a break."""
 
     times: Array
-    """(T,) s, by the sensor's clock: mean time of its points."""
+    """(T,) s, by the sensor's clock, ascending: mean time of its points, the same for the slices of a sweep."""
     centers: Array
-    """(T, 3) sensor frame, m: the middle of the silhouette of the upper body at the median horizontal range of its
-    front surface, at the mean height of its points."""
+    """(T, 3) sensor frame, m: the middle of the silhouette of a slice of the body at the median horizontal range
+    of its front surface, at the mean height of its points."""
     radial_stddev: Array
     """(T,) first guess, m."""
     tangential_stddev: Array
     """(T,) first guess, m."""
-    counts: Index
-    """(T,) points."""
+    slices: Index
+    """(T,) which slice of the body, from below; 0 of 2-D scanners, which have one."""
 
 
 @dataclass(frozen=True)

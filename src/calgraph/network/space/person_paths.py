@@ -27,6 +27,7 @@ from calgraph.geometry import Array, Index, measure_lengths
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.space.persons import (
     FRONT,
+    UPPER_SLICES,
     BodySamples,
     date_samples,
     derive_places,
@@ -46,13 +47,16 @@ and back, m, lean, and the change of the depth with height and with distance."""
 SHARED_MEAN = np.array([FRONT, 0.04, 0.0, 0.06, 0.0, 0.0])
 """(6,) the mean over persons: an ellipse of 0.25 by 0.45 m has a depth of 0.15 m, and 0.045 of it with the aspect,
 at its median beam."""
-SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.004])
-"""(6,) how well it is known before."""
+SHARED_STDDEV = np.array([0.04, 0.03, 0.03, 0.1, 0.1, 0.02])
+"""(6,) how well it is known before. Depths change by up to 5 mm with each metre of distance, which would
+else be taken for a scale of ranges."""
 # By how much slices that 2-D scanners measure, of legs, hips or chests, are less known: depths are twice as
 # different. Their lean is that of this height over the middle of the upper body, m: legs do not lean.
 _UNKNOWN_SLICE, _BELOW = np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]), -0.4
+# Depth and its change with the aspect of the highest slice, m: heads of 0.2 by 0.16 m, and necks are round.
+_HEAD = 0.07, 0.0
 # By which persons differ from the mean: they carry bags, and lean forward by up to 0.12 rad.
-_PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.002])
+_PERSON_STDDEV = np.array([0.02, 0.02, 0.03, 0.08, 0.05, 0.005])
 # Height in the middle of the upper body, and usual distance, m.
 _MIDDLE, _USUAL_DISTANCE = 1.35, 8.0
 # Time between knots, s, and standard deviation of accelerations, m/s²: the trunk of a person who walks swings with
@@ -108,11 +112,15 @@ class PersonEquations:
 
 def expect_shapes(bands: int) -> tuple[Array, Array]:
     """(6B,) the mean over persons of the shapes of B slices of bodies, and how well it is known before."""
-    return np.tile(SHARED_MEAN, bands), _repeat_stddev(SHARED_STDDEV, bands)
+    mean = np.tile(SHARED_MEAN, (bands, 1))
+    mean[UPPER_SLICES - 1, :2] = _HEAD
+    return mean.ravel(), _repeat_stddev(SHARED_STDDEV, bands)
 
 
 def _repeat_stddev(of_upper: Array, bands: int) -> Array:
-    return np.concatenate([of_upper, np.tile(_UNKNOWN_SLICE * of_upper, bands - 1)])
+    stddev = np.tile(of_upper, (bands, 1))
+    stddev[UPPER_SLICES:] *= _UNKNOWN_SLICE
+    return stddev.ravel()
 
 
 def reduce_person(
@@ -140,7 +148,7 @@ def reduce_person(
     measured = place_samples(samples, states)
     outward = point_outward(samples, states, measured[:, :2])
     distance = measure_lengths(samples.center)
-    gather = _gather_views(samples.track, times)
+    gather = _gather_views(samples.track * (len(shared) // SHAPE) + samples.band, times)
     heading = np.zeros_like(outward)
     for _ in range(_PASSES):
         rows = _arrange_rows(
@@ -149,8 +157,7 @@ def reduce_person(
         fit = _fit(rows, noise, prior, mean)
         control = fit.own[: -len(shared)].reshape(-1, 2)
         path, velocity = (evaluate_spline(control, first, some) for some in (weights, slopes))
-        speed = np.hypot(*velocity.T)
-        heading = velocity / np.maximum(speed, 1e-6)[:, None] * (speed > _WALKING)[:, None]
+        heading = _face(velocity)
         # Where bodies are, not where they are measured: errors of places would be multiplied with themselves, and
         # make the network smaller, by 0.3 to 0.5 % of simulated halls.
         outward = point_outward(samples, states, path)
@@ -178,6 +185,16 @@ def reduce_person(
         fit.weight.reshape(2, -1).T,
         path,
     )  # fmt: skip
+
+
+def _face(velocity: Array) -> Array:
+    """(N, 2) unit vectors in which a person faces: those of the walk; who stands faces where they went before."""
+    speed = np.hypot(*velocity.T)
+    walking = np.flatnonzero(speed > _WALKING)
+    if not len(walking):
+        return np.zeros_like(velocity)
+    last = walking[np.maximum(np.searchsorted(walking, np.arange(len(speed)), side="right") - 1, 0)]
+    return np.asarray(velocity[last] / speed[last, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +257,7 @@ def _arrange_rows(
     """Rows for places (N, 3), unit vectors of view (N, 2), and of walk (N, 2), 0 of who stands."""
     N, (first, weights, controls) = len(places), basis
     direction = np.concatenate([outward, np.column_stack([-outward[:, 1], outward[:, 0]])])
-    above = np.where(samples.band > 0, _BELOW, places[:, 2] - _MIDDLE)
+    above = np.where(samples.band >= UPPER_SLICES, _BELOW, places[:, 2] - _MIDDLE)
     shape = _derive_by_shape(direction, heading, above, distance)
     row, sample = np.arange(2 * N), np.tile(np.arange(N), 2)
     control = 2 * (first[sample, None] + np.arange(4))[:, :, None] + np.arange(2)

@@ -9,6 +9,8 @@ from calgraph.geometry import Array, Index, se_n, select_rows
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState
 
+UPPER_SLICES = 3
+"""Of upper bodies, which 3-D LiDARs measure."""
 LEVELLING = slice(2, 5)
 """Height, roll and pitch among the numbers of a state."""
 # Distance from the front of a body to its axis, m, by which tracks are moved outward before they are compared.
@@ -39,7 +41,7 @@ class BodySamples:
     stddev: Array
     """(N, 2) radial and tangential, first guesses, m."""
     band: Index
-    """(N,) which slice of bodies: 0 are upper bodies, which 3-D LiDARs measure; each 2-D scanner has its own."""
+    """(N,) which slice of bodies: the first are those of :data:`UPPER_SLICES`; each 2-D scanner has its own."""
 
 
 def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
@@ -57,7 +59,8 @@ def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
         np.concatenate([track.times for _, track in tracks]),
         np.concatenate([track.centers for _, track in tracks]),
         np.concatenate([np.column_stack([t.radial_stddev, t.tangential_stddev]) for _, t in tracks]),
-        np.where(flat, np.cumsum(flat), 0)[sensor],
+        np.where(flat, UPPER_SLICES - 1 + np.cumsum(flat), 0)[sensor]
+        + np.concatenate([t.slices for _, t in tracks]),
     )
 
 
@@ -93,7 +96,7 @@ def derive_places(samples: BodySamples, states: Sequence[SensorState], places: A
         of = np.flatnonzero(samples.sensor == k)
         points = se_n.apply(se_n.inverse(state.T_root_sensor), places[of])
         derivatives[of] = state.place(points)[1][:, :2]
-    derivatives[samples.band > 0, :, LEVELLING] = 0.0
+    derivatives[samples.band >= UPPER_SLICES, :, LEVELLING] = 0.0
     return derivatives
 
 

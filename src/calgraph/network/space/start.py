@@ -88,7 +88,9 @@ def _measure_bodies(track: Track) -> BodyTrack:
     ranges: Array = np.add.reduceat(np.hypot(*hits.points.T), first) / counts
     centers = np.column_stack([ranges * np.cos(middle), ranges * np.sin(middle), np.zeros(len(ranges))])
     T = len(ranges)
-    return BodyTrack(track.times, centers, np.full(T, _RADIAL), np.full(T, _TANGENTIAL), counts)
+    return BodyTrack(
+        track.times, centers, np.full(T, _RADIAL), np.full(T, _TANGENTIAL), np.zeros(T, dtype=np.intp)
+    )
 
 
 @dataclass(frozen=True, eq=False)
