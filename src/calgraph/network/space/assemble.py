@@ -44,8 +44,8 @@ _FLOOR_ADVICE = (
     "let more of the floor be in the view of {}, and state the biases of its ranges (uncertainty: range_bias, "
     "ring_bias)"
 )
-# Sources of uncertainty, of which the largest in the most uncertain axis is what to improve. That of height and tilt
-# of a 2-D scanner is what is stated.
+# Sources of uncertainty, of which the largest in the most uncertain axis is what to improve. That of height and
+# tilt of a 2-D scanner is what is stated.
 _RANGES, _FLOOR, _REST, _STATED = "range errors", "the floor", "walks and surfaces", "stated height and tilt"
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
