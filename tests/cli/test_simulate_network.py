@@ -99,3 +99,20 @@ def test_lidars_hang_in_a_hall(run: Run, tmp_path: Path) -> None:
     refused = run("simulate", "network", "-o", tmp_path / "b", "--lidars", 2, "--layout", "lab")
     assert refused.exit_code == 2
     assert "--layout: is of 2-D scanners" in refused.output
+
+
+def test_scanners_hang_beside_lidars_at_stated_heights(run: Run, tmp_path: Path) -> None:
+    """A mixed network; without LiDARs the option is refused, as --scanner-count is meant."""
+    given = ("--scanners", 4, "--duration", 1)
+    run("simulate", "network", "-o", tmp_path / "a", "--lidars", 1, *given)
+    sensors = read_yaml(tmp_path / "a" / "rig.yaml")["sensors"]
+    assert [(name, one["kind"], one.get("height")) for name, one in sensors.items()] == [
+        ("lidar_1", "lidar3d", None),
+        ("scanner_1", "lidar2d", 0.3),
+        ("scanner_2", "lidar2d", 0.9),
+        ("scanner_3", "lidar2d", 1.4),
+        ("scanner_4", "lidar2d", 0.3),
+    ]
+    refused = run("simulate", "network", "-o", tmp_path / "b", *given)
+    assert (refused.exit_code, (tmp_path / "b").exists()) == (2, False)
+    assert "--scanner-count" in refused.stderr

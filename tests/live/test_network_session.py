@@ -178,6 +178,26 @@ def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
     assert not state.done
 
 
+@pytest.mark.parametrize(
+    ("advice", "headline", "expected"),
+    [
+        ("let people walk farther", "Walk where several scanners detect you, for b: about 3 minutes more", True),
+        ("measure it", "More walks help b little: the largest source of it: ranges (93 %); measure it", False),
+    ],
+)
+def test_the_headline_has_the_remedy_of_the_largest_source(
+    fed: Fed, advice: str, headline: str, expected: bool
+) -> None:
+    """Walks and their minutes only where they help."""
+    fed.feed(60)
+    weak = posed("b", "weak", 2.0, f"x ±20 mm; the largest source of it: ranges (93 %); {advice}")
+    fed.pool.finish(solution(60.0, posed("a", "good", 0.0), weak))
+    state = fed.session.state()
+    assert state.headline == headline
+    assert state.advice is not None
+    assert bool(state.advice.expected) == expected
+
+
 def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
     fed.feed(9)
     cells = np.zeros((2, 2), dtype=np.bool_)

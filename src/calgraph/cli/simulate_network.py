@@ -1,6 +1,8 @@
 """``calgraph simulate network``: sensors and walking people with ground truth; every field is an option."""
 
+from dataclasses import replace
 from functools import partial
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -34,9 +36,17 @@ Lidars = Annotated[
         min=0,
         max=100,
         help="3-D LiDARs in a hall, instead of 2-D scanners in a building; of the other options only "
-        "--lidar-model, --seed, --people-count and --duration are of halls.",
+        "--lidar-model, --scanners, --seed, --people-count and --duration are of halls.",
     ),
 ]
+Scanners = Annotated[
+    int,
+    typer.Option(
+        "--scanners", metavar="N", min=0, max=100, help="2-D scanners beside the LiDARs, 0.3, 0.9 and 1.4 m high."
+    ),
+]
+_SCANNER_HEIGHTS = (0.3, 0.9, 1.4)
+"""In turn, m: of shins, hips and shoulders."""
 Model = Annotated[
     LidarModel, typer.Option("--lidar-model", help="16 or 32 rings, or a raster of 70 by 40 degrees.")
 ]
@@ -49,18 +59,21 @@ def simulate_network_options(
     jobs: JobsOption = None,
     lidars: Lidars = 0,
     lidar_model: Model = "xt32",
+    scanners: Scanners = 0,
     **options: Any,
 ) -> None:
     """Simulate scanners in a building, and people who walk through; write recording and ground truth.
 
     Defaults are those of the office; another layout has other defaults, which options override. With --lidars
-    the sensors are 3-D LiDARs in a hall.
+    the sensors are 3-D LiDARs in a hall, and --scanners adds 2-D scanners.
     """
     if lidars:
-        _simulate_hall(
-            out, seed, (lidar_model,) * lidars, [*options, *(["scenario"] if scenario else [])], options
-        )
+        heights = tuple(islice(cycle(_SCANNER_HEIGHTS), scanners))
+        hall = HallScenario(seed, lidars=(lidar_model,) * lidars, scanners=heights)
+        _simulate_hall(out, hall, [*options, *(["scenario"] if scenario else [])], options)
         return
+    if scanners:
+        raise InputError("--scanners: are beside LiDARs (--lidars); --scanner-count is that of 2-D scanners alone")
     content = read_yaml(scenario) if scenario else {}
     if options.get("layout") in get_args(LayoutName):
         # Before the other options, so that options not given have the defaults of this layout.
@@ -72,16 +85,12 @@ def simulate_network_options(
         simulate_into(folder, simulate, chosen, seed, progress)
 
 
-def _simulate_hall(
-    out: Path, seed: int, lidars: tuple[LidarModel, ...], given: list[str], options: dict[str, Any]
-) -> None:
+def _simulate_hall(out: Path, start: HallScenario, given: list[str], options: dict[str, Any]) -> None:
     unknown = [name for name in given if name not in _HALL_OPTIONS]
     if unknown:
         raise InputError(f"--{unknown[0].replace('_', '-')}: is of 2-D scanners; leave it out with --lidars")
-    chosen = {
-        _HALL_OPTIONS[name]: type(getattr(HallScenario(), _HALL_OPTIONS[name]))(options[name]) for name in given
-    }
-    hall = HallScenario(seed, lidars=lidars, **chosen)
+    chosen = {_HALL_OPTIONS[name]: type(getattr(start, _HALL_OPTIONS[name]))(options[name]) for name in given}
+    hall = replace(start, **chosen)
     with simulated_folder(out) as (folder, progress):
         record_hall(simulate_hall(hall), folder, lambda done, total: progress("writing", done / total))
 

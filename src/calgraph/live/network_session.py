@@ -1,6 +1,7 @@
 """A live session of a network: from its messages to poses again and again, and what people should do."""
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 
 from calgraph.config.settings import LiveNetworkSettings
@@ -14,6 +15,7 @@ from calgraph.live.session import ALL_DONE
 from calgraph.live.state import Advice, Phase, SceneState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.finding import split_clauses
+from calgraph.verdict.grades import names_sources
 
 # Standard deviations of means fall with the root of the time, and no faster for long.
 _MAX_DECAY = 0.5
@@ -128,10 +130,20 @@ def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) ->
     beyond = [one.name for one in weak if one.uncertainty > 1]
     if not beyond:
         return "measuring", weak[0].reason
+    if not _is_helped_by_walks(weak):
+        source = next(filter(names_sources, split_clauses(weak[0].reason)))
+        advice = split_clauses(weak[0].reason)[-1]
+        return "measuring", f"More walks help {name_sensors(beyond)} little: {source}; {advice}"
     minutes = forecast.minutes_left()
     left = "" if minutes is None else f": about {_format_minutes(minutes)} more"
     where = "in the orange areas" if has_areas else "where several scanners detect you"
     return "measuring", f"Walk {where}, for {name_sensors(beyond)}{left}"
+
+
+def _is_helped_by_walks(weak: Sequence[SensorSolution]) -> bool:
+    """Whether one beyond the tolerance is advised to have people walk, or no source of its errors is known."""
+    clauses = [split_clauses(one.reason) for one in weak if one.uncertainty > 1]
+    return any("people w" in one[-1] or not any(map(names_sources, one)) for one in clauses)
 
 
 def _format_minutes(minutes: float) -> str:
@@ -164,7 +176,7 @@ def _advise(solution: LiveNetworkSolution, forecast: Forecast) -> Advice | None:
     sentences += dict.fromkeys(clause for one in weak if one.reason for clause in split_clauses(one.reason))
     if not sentences:
         return None
-    minutes = None if apart else forecast.minutes_left()
+    minutes = None if apart or not _is_helped_by_walks(weak) else forecast.minutes_left()
     expected = f"within tolerance in about {_format_minutes(minutes)}" if minutes else ""
     return Advice("; ".join(sentences), expected=expected)
 

@@ -199,5 +199,9 @@ def record_hall(simulated: SimulatedHall, out: Path, progress: Progress) -> None
         for one in simulated.recording.records()
     )
     found = GroundTruth(truth.root, truth.T_root_sensor, (), truth.clock_offsets)
-    write_simulation(out, describe_rig(simulated.rig), found, messages, lambda done: progress(done, total))
+    rig = describe_rig(simulated.rig)
+    for sensor, height in zip(scenario.sensors[len(scenario.lidars) :], scenario.scanners, strict=True):
+        # Measured with a tape; walls and people do not show it.
+        rig["sensors"][sensor.name]["height"] = height
+    write_simulation(out, rig, found, messages, lambda done: progress(done, total))
     save_yaml(out / "scenario.yaml", asdict(scenario), f"seed: {scenario.seed}")

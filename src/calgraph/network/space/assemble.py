@@ -44,8 +44,9 @@ _FLOOR_ADVICE = (
     "let more of the floor be in the view of {}, and state the biases of its ranges (uncertainty: range_bias, "
     "ring_bias)"
 )
-# Sources of uncertainty, of which the largest in the most uncertain axis is what to improve.
-_RANGES, _FLOOR, _REST = "range errors", "the floor", "walks and surfaces"
+# Sources of uncertainty, of which the largest in the most uncertain axis is what to improve. That of height and
+# tilt of a 2-D scanner is what is stated.
+_RANGES, _FLOOR, _REST, _STATED = "range errors", "the floor", "walks and surfaces", "stated height and tilt"
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
 # Walls on which two maps agree, less the others, and that over both, below which nothing but people shows that a
@@ -101,13 +102,14 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             shares = {_RANGES: 1 - (rest / stddev) ** 2}
             if rig.is_on_floor:
                 shares[_FLOOR] = (floor / stddev) ** 2
-            shares[_REST] = 1 - np.sum(list(shares.values()), axis=0)
             worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
+            is_stated = isinstance(spec, Lidar2dSpec) and worst in _LEVEL_AXES
+            shares[_STATED if is_stated else _REST] = 1 - np.sum(list(shares.values()), axis=0)
             largest = max(shares, key=lambda source: float(shares[source][worst]))
             advice = {_RANGES: _RANGE_ADVICE, _FLOOR: _FLOOR_ADVICE.format(reference)}.get(
                 largest, _advise_walks(names, solution, k)
             )
-            advice = _LEVEL_ADVICE if isinstance(spec, Lidar2dSpec) and worst in _LEVEL_AXES else advice
+            advice = _LEVEL_ADVICE if is_stated else advice
             verdict = grade_pose(
                 name, spec.kind, T_world_sensor, errors[block, block],
                 [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
