@@ -12,6 +12,8 @@ from calgraph.config.settings import StationaritySettings
 from calgraph.errors import InputError, Rejected
 from calgraph.network.checks.assemble import assemble_network
 from calgraph.network.checks.extension import (
+    EARLIER_WEIGHT,
+    SHARED,
     build_consistent_prior,
     extract_earlier_poses,
     merge_with_earlier,
@@ -173,7 +175,7 @@ def _solve_jointly(
     covariance = complete_covariance(joint.pose_covariance)
     found = NetworkPoses(tuple(names), joint.T_root_scanner, covariance)
     prior = build_consistent_prior(poses, found, rig.settings.diagnostics)
-    return solution(prior=prior), prior
+    return solution(prior=prior).scale_covariance(1 / EARLIER_WEIGHT, SHARED), prior
 
 
 def _assess_and_assemble(

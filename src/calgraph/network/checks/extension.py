@@ -20,6 +20,16 @@ from calgraph.network.joint.planar_poses import (
 )
 from calgraph.result import Calibration, ErrorBudget, SensorPose, Verdict
 
+EARLIER_WEIGHT = 0.5
+"""Of the earlier poses, and of the recording, in the covariance of an extension. Errors of sensors that last, as
+those of ranges and of stated heights, are the same in both: as if they were independent, standard deviations
+would fall with each extension. With these weights the covariance is not too small for any correlation.
+
+Source: Julier and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations", 1997.
+"""
+SHARED = "errors that both recordings share"
+"""What the covariance of an extension is enlarged by."""
+
 
 def extract_earlier_poses(earlier: Calibration, root: str, *, in_space: bool = False) -> NetworkPoses:
     """The poses of an earlier calibration of a network with this root.
@@ -120,7 +130,7 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
     """A calibration together with the scanners that only the earlier one has, which keep their poses.
 
     The errors of kept scanners are correlated with those of the others: the poses in ``found`` depend on the
-    earlier ones by ``C W``, with its covariance ``C`` and the prior's information ``W``.
+    earlier ones by ``C W``, with its covariance ``C`` and the weighted information ``W`` of the prior.
 
     Args:
         found: from the recording and the prior.
@@ -130,7 +140,7 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
     now, before = extract_poses(found), extract_poses(earlier)
     kept = [sensor for sensor in earlier.sensors if sensor.name not in now.names]
     shared, kept_rows = [now.names[k] for k in prior.nodes], before.covariance_rows([one.name for one in kept])
-    gain = now.covariance[:, now.covariance_rows(shared)] @ prior.information
+    gain = now.covariance[:, now.covariance_rows(shared)] @ (EARLIER_WEIGHT * prior.information)
     cross = gain @ before.covariance[np.ix_(before.covariance_rows(shared), kept_rows)]
     covariance = np.block([[now.covariance, cross], [cross.T, before.covariance[np.ix_(kept_rows, kept_rows)]]])
     names = (*now.names, *(sensor.name for sensor in kept))

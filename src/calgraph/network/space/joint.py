@@ -5,7 +5,7 @@ them in all directions but time. Each is eliminated for itself; what remains are
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,10 @@ class SpaceSolution:
     """Of what people show, by the root's clock, s."""
     squared_step: float
     """Squared last step, in standard deviations."""
+
+    def scale_covariance(self, factor: float) -> "SpaceSolution":
+        """The solution with variances that are larger by a factor."""
+        return replace(self, covariance=factor * self.covariance, with_ranges=factor * self.with_ranges)
 
 
 def solve_space(

@@ -9,7 +9,12 @@ from calgraph.config import Cylinder, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import TrackingSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
-from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_with_earlier
+from calgraph.network.checks.extension import (
+    EARLIER_WEIGHT,
+    build_consistent_prior,
+    extract_earlier_poses,
+    merge_with_earlier,
+)
 from calgraph.network.checks.findings import collect_network_findings
 from calgraph.network.joint.planar_poses import NetworkPoses, ScannerPrior
 from calgraph.network.options import NetworkOptions
@@ -112,7 +117,7 @@ def calibrate_in_space(
             if earlier is not None:
                 poses = extract_earlier_poses(earlier, solved.root, in_space=True)
                 prior = build_consistent_prior(poses, _locate(names, solution), rig.settings.diagnostics)
-                solution = _solve(solved, start, engine, progress, prior)
+                solution = _solve(solved, start, engine, progress, prior).scale_covariance(1 / EARLIER_WEIGHT)
         findings += describe_changes(solution.changes, names, solved.root, solution.begin)
     rejected = {name: one for name, one in (observed | tracked).items() if isinstance(one, Rejected)}
     result = SpaceResult(
