@@ -3,6 +3,7 @@
 python benchmarks/subsets.py                        # k = 8, 11, 12, 16, 20, 24 captures, 40 random draws each
 python benchmarks/subsets.py --k 8 16 --draws 20 --jobs 4
 python benchmarks/subsets.py --corrections          # points as published, and corrected, from the camera's planes
+python benchmarks/subsets.py --more --draws 12      # the remedy of as many captures again, and what these give
 
 Data: acfr-vlp16-checkerboard in ../shared/data, or in CALGRAPH_DATA; all 40 captures. The board is
 detected in whole sweeps, with up to eight candidates a sweep, as no background was recorded.
@@ -24,7 +25,7 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch
 from calgraph.boards.printed_boards import compute_landmarks
-from calgraph.config import Rig
+from calgraph.config import Rig, Tolerance
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
@@ -36,6 +37,7 @@ from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_detections
 from calgraph.sensors import PointCloud
+from calgraph.sensors.kinds import KINDS
 from real_fits import Fit, apply_systematic, cross_covariance, fit_captures, locate_boards
 from real_recordings import DATA, VLP16
 from worlds import NAN, grouped, make_parser, median, rms, run_worlds
@@ -203,6 +205,29 @@ def show_corrections() -> None:
         print(f"{label:15} {len(published)} views: RMS by pose alone {', corrected '.join(shown)}", flush=True)
 
 
+def show_more_captures(draws: int) -> None:
+    """Prints standard deviations with k further captures, over those that the remedy of the first k predicts."""
+    rig = load()[0].model_copy(update={"tolerance": Tolerance(translation=0.001, rotation=0.03)})
+    for k in (10, 14, 20):
+        ratios = []
+        for draw in range(draws):
+            order = np.random.default_rng([k, draw]).permutation(list(CAPTURES)).tolist()
+            few, more = (
+                calibrate_detections(rig, select_captures(sorted(order[:count])), RigOptions(folds=0))
+                for count in (k, 2 * k)
+            )
+            for one in few.evidence.remedies:
+                if one.captures and not one.uncertainty and "camera" in [sensor.name for sensor in more.sensors]:
+                    axis = KINDS["camera"].axes.index(one.axis)
+                    ratios.append(float(more["camera"].axis_stddev[axis]) / one.expected)
+        low, high = np.quantile(ratios, [0.05, 0.95])
+        print(
+            f"{k} more after {k}: {len(ratios)} draws, obtained/predicted median {median(ratios):.2f}, "
+            f"5 to 95 % {low:.2f} to {high:.2f}",
+            flush=True,
+        )
+
+
 def find_beams(calibration: Calibration, capture: int) -> tuple[Array, Array] | None:
     """The board's plane (4,) by the camera, and the LiDAR's points (N, 3) on it; None where it has none there."""
     rig, found = load()
@@ -228,10 +253,13 @@ def main() -> None:
     parser.add_argument("--k", type=int, nargs="+", default=[8, 11, 12, 16, 20, 24])
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--corrections", action="store_true", help="points as published and corrected instead")
+    parser.add_argument("--more", action="store_true", help="as many captures again instead")
     arguments = parser.parse_args()
     load()  # before processes are forked
     if arguments.corrections:
         show_corrections()
+    elif arguments.more:
+        show_more_captures(arguments.draws)
     else:
         draws = [(k, draw) for k in arguments.k for draw in range(arguments.draws)]
         show_subsets(run_worlds(Draw, compare_draw, draws, arguments, key=2))

@@ -40,6 +40,8 @@ def test_what_more_captures_cannot_improve_is_stated(rig: Path, run: Run) -> Non
         "right: more captures cannot help: with any number of them, sideways (x) is uncertain by 29 mm"
         in result.output
     )
+    # The only uncertainty of 5 %: those of the lenses are of 1 %.
+    assert "the largest source of it: print scale of board (100 %)" in result.output
     assert "1. hold the board" in result.output
     assert "assumed, as not stated: left: 1280 x 960 pixels, 70° wide" in result.output
     assert "assumed, as not stated: poses: sensors side by side" in result.output

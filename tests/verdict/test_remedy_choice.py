@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calgraph.verdict.remedy_choice import choose_axis, choose_measures
+from calgraph.verdict.remedy_choice import choose_amount, choose_axis, choose_measures
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,20 @@ def test_the_cheapest_that_suffices_comes_first_and_the_best_of_others_follow() 
 def test_two_are_taken_together_where_no_single_one_suffices() -> None:
     measures = [Measured("a", 9, 1.8), Measured("b", 5, 1.5), Measured("c", 1, 1.4)]
     assert choose(2.0, *measures) == ["b+c", "a+c", "a+b"]
+
+
+@pytest.mark.parametrize(
+    ("now", "name"),
+    [
+        (1.9, "thrice"),  # twice as many: 0.95 of the limit
+        (1.7, "twice"),
+        (2.9, "thrice"),  # without a reserve: there is no more
+        (4.0, "other"),
+    ],
+)
+def test_the_least_amount_that_suffices_with_a_reserve_is_taken(now: float, name: str) -> None:
+    amounts = [Measured("twice", 1, 2), Measured("thrice", 2, 3)]
+    assert choose_amount(amounts, lambda one: now / one.divisor, Measured("other", 9, 1)).name == name
 
 
 def test_a_measure_with_little_effect_is_none() -> None:

@@ -12,7 +12,7 @@ from calgraph.cli.common_options import RigFile
 from calgraph.cli.console import console, make_table
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.io.text_writing import format_json
-from calgraph.verdict.grades import axis_names
+from calgraph.verdict.grades import axis_names, describe_largest
 
 if TYPE_CHECKING:
     from calgraph.geometry import Array
@@ -111,8 +111,9 @@ def _print(found: "RecordingPlan", planned: "PlannedRig") -> None:
     output.print(f"{_SIGNS['good']} within the tolerance of {limits}; detects: share of the captures")
     output.print("at best: with any number of captures, by the uncertainty that rig.yaml states or defaults to")
     impossible = [one for one in found.sensors if found.judge(one) == "impossible"]
-    for one in impossible:
-        output.print(f"{_SIGNS['impossible']} {escape(_explain_limit(one, found, scale))}")
+    for index, one in enumerate(found.sensors, start=1):
+        if one in impossible:
+            output.print(f"{_SIGNS['impossible']} {escape(_explain_limit(one, index, found, scale))}")
     if len(impossible) < len(found.sensors):
         others = "all sensors" if not impossible else "the others"
         enough = f"{found.needed} captures suffice" if found.needed else "500 captures do not suffice"
@@ -133,8 +134,8 @@ def _format_worst(errors: "Array") -> tuple[str, str]:
     return format_significant(1000 * errors[:3].max()), format_significant(float(np.degrees(errors[3:].max())))
 
 
-def _explain_limit(sensor: "PlannedSensor", found: "RecordingPlan", scale: "Array") -> str:
-    """Why no number of captures suffices for a sensor."""
+def _explain_limit(sensor: "PlannedSensor", index: int, found: "RecordingPlan", scale: "Array") -> str:
+    """Why no number of captures suffices for a sensor, which has this index among all with the root."""
     from calgraph.report.formatting import format_angle, format_length
 
     if not sensor.detected:
@@ -144,8 +145,9 @@ def _explain_limit(sensor: "PlannedSensor", found: "RecordingPlan", scale: "Arra
         (format_length if worst < 3 else format_angle)(float(value))
         for value in (scale[worst] * sensor.limit[worst], scale[worst] * found.max_stddev[worst])
     )
+    (source,) = describe_largest(found.limit_budget.shares_by_source(index), worst, "it")
     return (
         f"{sensor.name}: more captures cannot help: with any number of them, {axis_names(sensor.kind)[worst]} is "
-        f"uncertain by {error} (95 %), beyond the tolerance of {allowed}; state smaller uncertainty in "
-        "rig.yaml where you know them, or add a sensor"
+        f"uncertain by {error} (95 %), beyond the tolerance of {allowed}; {source}; state smaller uncertainty in "
+        "rig.yaml where you know it, or add a sensor"
     )

@@ -20,13 +20,14 @@ from calgraph.boards.printed_boards import compute_landmarks, select_marks_in_vi
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.result import Suggestion
+from calgraph.result import ErrorBudget, Suggestion
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.rig.bundle.board_observations import BoardObservation
 from calgraph.rig.bundle.board_outlines import add_outlines
 from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
 from calgraph.rig.bundle.bundle_solver import MinimizedBundle, linearize_bundle
 from calgraph.rig.bundle.covariances import information_by_board, pose_covariance, pose_jacobian, sum_information
+from calgraph.rig.bundle.error_sources import split_covariance
 from calgraph.rig.bundle.observations import stack_poses
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.variance_components import usual_bias_variances
@@ -81,8 +82,8 @@ class RecordingPlan:
     """Captures with which all sensors are within the tolerance that ever are; None if 500 do not suffice."""
     places: tuple[Suggestion, ...]
     """Where to hold the board, the most informative place first, each in addition to those before."""
-    solved: SolvedBundle
-    """The joint problem of the planned captures, from which the sources of the uncertainty follow."""
+    limit_budget: ErrorBudget
+    """What the uncertainty with any number of captures comes from; the root first."""
 
     def judge(self, sensor: PlannedSensor) -> Literal["good", "more", "impossible"]:
         """Whether a sensor is within the tolerance with the captures, with more of them, or with no number."""
@@ -142,7 +143,10 @@ def plan_captures(
         if i
     )
     needed = _COUNTS[first] if first < len(_COUNTS) else None
-    return RecordingPlan(captures, sensors, limits, needed, places, _scale_captures(boards, captures))
+    unlimited = _scale_captures(boards, _UNLIMITED).minimized
+    parts = split_covariance(bundle, unlimited)
+    budget = ErrorBudget.of_poses(list(parts), np.array(list(parts.values())), list(unlimited.state.T_root_sensor))
+    return RecordingPlan(captures, sensors, limits, needed, places, budget)
 
 
 def _linearize_boards(planned: PlannedRig, T_root_board: Array, detections: Detections) -> SolvedBundle:

@@ -28,7 +28,7 @@ from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
 from calgraph.result import Remedy
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.verdict.grades import axis_names, max_good_stddev
-from calgraph.verdict.remedy_choice import choose_axis, choose_measures
+from calgraph.verdict.remedy_choice import choose_amount, choose_axis, choose_measures
 
 # What a comparison of ranges with a laser distance meter (2 mm) leaves, at walls 1 m and 8 m away, averaged over a
 # minute: bias, m, as the origin of the ranges is inside of the housing; and relative scale.
@@ -97,8 +97,7 @@ def find_network_remedies(
         measures = [*_compare_ranges({name: stated[name] for name in compared})]
         if prediction.duration >= _MIN_DURATION:
             longer = [_record_longer(multiple * prediction.duration) for multiple in _MULTIPLES]
-            # Of further recordings, the shortest that suffices, otherwise as much again.
-            measures.append(next((one for one in longer if excess(one) <= 1), longer[_MULTIPLES.index(1.0)]))
+            measures.append(choose_amount(longer, excess, otherwise=longer[_MULTIPLES.index(1.0)]))
         for one in choose_measures(measures, excess, float(np.max(now[s] / limits))):
             after = prediction.stddev(one)[s]
             axis = choose_axis(now[s], after, limits)

@@ -24,7 +24,7 @@ from calgraph.rig.checks.drift_tests import DriftStatistics, average_drifts, lis
 from calgraph.rig.checks.next_best_pose import predict_board_information
 from calgraph.sensors.kinds.stated import RangeUncertainty
 from calgraph.verdict.grades import axis_names, max_good_stddev
-from calgraph.verdict.remedy_choice import choose_axis, choose_measures
+from calgraph.verdict.remedy_choice import choose_amount, choose_axis, choose_measures
 
 # How well a ruler measures a print or a sheet, m: half a millimetre mark.
 _RULER = 0.0005
@@ -173,8 +173,7 @@ def _choose(
     for count in (max(round(recorded * multiple), 1) for multiple in _MULTIPLES):
         minutes = _RECORDING_MINUTES + _CAPTURE_MINUTES * count
         more.append(_Measure(f"record {count} more captures like these", minutes, captures=count))
-    # Of further captures, the fewest that suffice, otherwise as many again.
-    captures = next((one for one in more if excess(one) <= 1), more[_MULTIPLES.index(1.0)])
+    captures = choose_amount(more, excess, otherwise=more[_MULTIPLES.index(1.0)])
     return choose_measures((captures, *measures), excess, now)
 
 
