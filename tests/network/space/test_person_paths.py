@@ -84,3 +84,20 @@ def test_equations_have_the_same_bits_with_poses_that_are_not_aligned() -> None:
     )
     for one, other in zip(here, there, strict=True):
         np.testing.assert_array_equal(one.information, other.information)
+
+
+def test_persons_do_not_determine_a_direction_that_is_marginalized() -> None:
+    scene = build_scene(0, duration=6.0, people=2, sensors=2)
+    persons = [LocalPerson.of(one) for one in find_persons(gather_samples(scene.observations), scene.truth, 0.5)]
+    reduced = reduce_persons(persons, scene.truth, NOISE, SHARED_MEAN, THIS_PROCESS)
+    people = add_persons(persons, reduced, prior_of(2) > 0, SHAPE)
+    direction, others = np.random.default_rng(1).normal(size=(2, len(people.gradient)))
+    left = people.marginalize(direction)
+    size = direction @ people.information @ direction
+    assert abs(left.information @ direction).max() < 1e-9 * size
+    assert abs(left.gradient @ direction) < 1e-9 * abs(people.gradient).max()
+    assert abs(left.scores @ direction).max() < 1e-9 * abs(people.scores @ direction).max()
+    # What is left of another direction is the least information over all moves along the first.
+    moves = others + np.linspace(-5, 5, 20001)[:, None] * direction
+    least = np.einsum("mi,ij,mj->m", moves, people.information, moves).min()
+    np.testing.assert_allclose(others @ left.information @ others, least, rtol=2e-3)

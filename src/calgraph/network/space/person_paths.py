@@ -414,6 +414,20 @@ class PeopleEquations:
     source: Index
     """(V,) number of person and sensor."""
 
+    def marginalize(self, direction: Array) -> "PeopleEquations":
+        """The equations where a move along a direction (P + 6B,) is a further unknown, which is eliminated."""
+        by_direction = self.information @ direction
+        total = float(direction @ by_direction)
+        if total <= 0:
+            return self
+        along = csr_array((self.scores @ direction / total)[:, None])
+        return replace(
+            self,
+            information=self.information - np.outer(by_direction, by_direction) / total,
+            gradient=self.gradient - by_direction * float(direction @ self.gradient) / total,
+            scores=csr_array(self.scores - along @ csr_array(by_direction[None])),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class LocalPerson:
