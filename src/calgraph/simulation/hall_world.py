@@ -21,6 +21,8 @@ _LENGTHS, _WIDTHS = (12.0, 25.0), (10.0, 18.0)
 """Of halls, m."""
 _HALL = Layout((0.0, 0.0), (0.0, 0.0), (4.5, 7.0), True, (0, 1, 2, 3), 7, 0, 0, 0.004, 0.005)
 """Walls with pilasters, ledges and panels; waves of floor and walls of 4 and 5 mm."""
+_CORE = 0.6
+"""Share of the reach of a vehicle that its path keeps free."""
 _PASSAGE = 1.0
 """Least distance of furniture from furniture, m."""
 _DRAWS = 60
@@ -225,10 +227,16 @@ def _draw_paths(
         return find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3)))
 
     parties = form_parties(options, find_space)
-    vehicles = [Party(reach, find_space(reach)) for reach in reaches]
-    walks = draw_walks([*parties, *vehicles], np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
-    people = separate_people(options, walks[: len(parties)], rng)
-    return people, walks[len(parties) :]
+    walks = draw_walks(parties, np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
+    # One by one: large bodies that heed each other block each other for minutes. Corners may touch furniture.
+    vehicles = [
+        draw_walks(
+            [Party(_CORE * reach, find_space(_CORE * reach))], np.zeros((0, 2)), options, 0.0,
+            scenario.duration + 1.0, rng,
+        )[0]
+        for reach in reaches
+    ]  # fmt: skip
+    return separate_people(options, walks, rng), tuple(vehicles)
 
 
 def _move_things(

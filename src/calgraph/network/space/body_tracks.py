@@ -66,7 +66,8 @@ def to_scanner_tracks(observations: SpaceObservations, settings: TrackingSetting
     for track in observations.tracks:
         centers = se3.apply(observations.T_floor_sensor, track.centers)[:, :2]
         distance = np.linalg.norm(centers, axis=1, keepdims=True)
-        tracks.append((track, centers * (1 + _BODY_RADIUS / np.maximum(distance, _BODY_RADIUS))))
+        radius = _BODY_RADIUS if track.yaws is None else 0.0
+        tracks.append((track, centers * (1 + radius / np.maximum(distance, _BODY_RADIUS))))
     smoothed = _smooth(tracks, settings)
     walls, stddev = _outline_walls(observations)
     return ScannerTracks(smoothed, walls, stddev, observations.coverage)

@@ -1,7 +1,8 @@
-"""The floor of a stationary 3-D LiDAR: the plane below it on which people stand.
+"""The floor of a stationary 3-D LiDAR: the plane below it on which people stand, or vehicles drive.
 
 People are upright: the long axes of what moves are near the vertical, which distinguishes floors from walls. Their
-heights over a plane distinguish a floor from ceilings and tables.
+heights over a plane distinguish a floor from ceilings and tables. Where no person walks, what drives extends least
+along the vertical, and reaches down to the floor.
 """
 
 from dataclasses import dataclass
@@ -46,6 +47,10 @@ _SUPPORT = 0.05
 _MIN_HEIGHT, _COMPARED = 1.0, 2000
 _MIN_STANDING, _STANDING = 0.8, (-0.3, 2.2)
 _MIN_TOP = 0.9
+# The same of vehicles, up to the roof of a truck; their 5 % quantile is below their sides, as ceilings are far above.
+_DRIVING, _MAX_BOTTOM, _MIN_ROOF = (-0.3, 4.5), 0.7, 0.4
+# Least ratio of the variances of moving points along the second axis and along the vertical: 3 m by 1 m.
+_DRIVEN_RATIO = 4.0
 # Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
 _GATES = (0.08, 0.06, 0.045, 0.045, 0.045)
 # Edge of cells of the floor that count equally, and of blocks whose errors are independent, m; least numbers.
@@ -67,13 +72,28 @@ def find_floor(
         rng: for the triples of points.
     """
     upright = find_upright_bodies(moving)
+    start = None
+    if not isinstance(upright, Rejected):
+        axis, bodies = upright
+        start = _search_plane(static.points, bodies, axis, rng)
+    driven = _find_driven_axis(moving)
+    if driven is not None and (start is None or abs(start[:3] @ driven) < _MIN_COSINE):
+        # Long sides of vehicles are not upright. Persons on one line are, and a floor by them stays.
+        found = _search_plane(static.points, moving.points, driven, rng, driven=True)
+        start = start if found is None else found
+    if start is not None:
+        return _adjust_floor(static.points, start, range_bias, ring_bias)
     if isinstance(upright, Rejected):
         return upright
-    axis, bodies = upright
-    start = _search_plane(static.points, bodies, axis, rng)
-    if start is None:
-        return Rejected("no plane below the sensor is one on which the people whom it measured stand")
-    return _adjust_floor(static.points, start, range_bias, ring_bias)
+    return Rejected("no plane below the sensor is one on which the people whom it measured stand")
+
+
+def _find_driven_axis(moving: MovingPoints) -> Array | None:
+    """The unit axis (3,) along which moving points extend least; None where that may be another than the vertical."""
+    if len(moving.points) < _COMPARED:
+        return None
+    values, vectors = np.linalg.eigh(np.cov(moving.points.T))
+    return np.asarray(vectors[:, 0]) if values[1] >= _DRIVEN_RATIO * values[0] else None
 
 
 def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:
@@ -105,8 +125,10 @@ def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:
     return axis, np.concatenate([bodies[k] for k in np.flatnonzero(upright)])
 
 
-def _search_plane(static: Array, bodies: Array, axis: Array, rng: np.random.Generator) -> Array | None:
-    """The plane (4,) with the most support of those on which bodies stand; None where there is none."""
+def _search_plane(
+    static: Array, bodies: Array, axis: Array, rng: np.random.Generator, driven: bool = False
+) -> Array | None:
+    """The plane (4,) with the most support of those on which bodies stand, or drive; None where there is none."""
     cube = np.floor(static / _CUBE).astype(np.int64)
     thinned = static[np.unique(cube, axis=0, return_index=True)[1]]
     if len(thinned) < _MIN_CELLS:
@@ -120,9 +142,10 @@ def _search_plane(static: Array, bodies: Array, axis: Array, rng: np.random.Gene
     planes = planes[planes[:, 3] >= _MIN_HEIGHT]
     sample = bodies[:: max(1, len(bodies) // _COMPARED)]
     heights = plane.distance(planes, sample)
-    low, high = _STANDING
+    low, high = _DRIVING if driven else _STANDING
     standing = np.mean((heights > low) & (heights < high), axis=1) >= _MIN_STANDING
-    standing[standing] &= np.quantile(heights[standing], 0.9, axis=1) >= _MIN_TOP
+    top = np.quantile(heights[standing], 0.9, axis=1) >= (_MIN_ROOF if driven else _MIN_TOP)
+    standing[standing] &= top & (np.quantile(heights[standing], 0.05, axis=1) < (_MAX_BOTTOM if driven else np.inf))
     planes = planes[standing]
     if not len(planes):
         return None

@@ -35,6 +35,8 @@ class BodyTrack:
     """(T,) first guess, m."""
     counts: Index
     """(T,) points."""
+    yaws: Array | None = None
+    """(T,) rad, in the levelled frame, of a vehicle, whose centres are of one point of it; None of a person."""
 
 
 @dataclass(frozen=True)
@@ -65,5 +67,7 @@ class SpaceObservations:
     coverage: Array
     """(W, 2) s, when it measured."""
     step: StaticStep | None = None
+    vehicles: tuple[BodyTrack, ...] = ()
+    """Which are used where people do not connect a network."""
     flat: bool = False
     """Whether it is a 2-D scanner: its points are of one plane in space, and show no surface by themselves."""

@@ -23,6 +23,7 @@ from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.network.track_recording import track_with_beam_times
+from calgraph.network.space.vehicles import find_vehicles, follow_vehicles
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.kept_values import Kept
@@ -101,7 +102,13 @@ def calibrate_in_space(
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
     findings += _describe_steps(solved, measured, recording.start)
     rng = np.random.default_rng(options.seed)
+    state = rng.bit_generator.state
     start = start_in_space(solved, measured, scanners, options, rng, progress)
+    if len(start.states) < len(measured) + len(scanners) and any(one.vehicles for one in measured.values()):
+        rng.bit_generator.state = state
+        with_vehicles = {name: follow_vehicles(one) for name, one in measured.items()}
+        other = start_in_space(solved, with_vehicles, scanners, options, rng, progress)
+        start = max(start, other, key=lambda one: len(one.states))
     findings += start.corrected.findings
     findings += collect_network_findings(tracked, start.initialization, recording.start)
     solution = prior = None
@@ -274,11 +281,13 @@ def observe_clouds(
         return floor
     bodies = find_bodies(split.moving, floor.T_floor_sensor, split.view)
     tracks = track_bodies(bodies, floor.T_floor_sensor, settings)
-    if not tracks:
+    vehicles = find_vehicles(split.moving, floor.T_floor_sensor, settings)
+    if not tracks and not vehicles:
         return Rejected(
             f"{len(bodies.times)} bodies were measured in its sweeps, but none could be tracked for "
             f"{settings.motion.min_duration:g} s and {settings.motion.min_travel:g} m"
         )
     return SpaceObservations(
-        floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step
-    )
+        floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step,
+        vehicles,
+    )  # fmt: skip
