@@ -43,8 +43,8 @@ class BodySamples:
 
 
 def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
-    """The samples of the tracks of persons of all sensors."""
-    tracks = [(k, track) for k, one in enumerate(observations) for track in one.tracks if track.yaws is None]
+    """The samples of the tracks of all sensors."""
+    tracks = [(k, track) for k, one in enumerate(observations) for track in one.tracks]
     counts = [len(track.times) for _, track in tracks]
     if not sum(counts):
         none = np.zeros(0, dtype=np.intp)

@@ -22,7 +22,7 @@ from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
-from calgraph.network.space.vehicles import find_vehicles, follow_vehicles
+from calgraph.network.space.vehicles import find_vehicles
 from calgraph.network.track_recording import track_with_beam_times
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import MapEngine
@@ -102,7 +102,7 @@ def calibrate_in_space(
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
     findings += _describe_steps(solved, measured, recording.start)
     rng = np.random.default_rng(options.seed)
-    start = start_with_vehicles(solved, measured, scanners, options, rng, progress)
+    start = start_in_space(solved, measured, scanners, options, rng, progress)
     findings += start.corrected.findings
     findings += collect_network_findings(tracked, start.initialization, recording.start)
     solution = prior = None
@@ -207,23 +207,6 @@ def _scanning_spec(name: str, spec: SensorSpec) -> Lidar2dSpec | Lidar3dSpec:
             f"{spec.kind}; give other sensors a separate rig.yaml"
         )
     return spec
-
-
-def start_with_vehicles(
-    rig: Rig,
-    measured: Mapping[str, SpaceObservations],
-    scanners: Mapping[str, ScannerTracks],
-    options: NetworkOptions,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> SpaceStart:
-    """As :func:`start_in_space`, from vehicles, too, where people do not connect all sensors."""
-    start = start_in_space(rig, measured, scanners, options, rng, progress)
-    if len(start.states) == len(measured) + len(scanners) or not any(one.vehicles for one in measured.values()):
-        return start
-    followed = {name: follow_vehicles(one) for name, one in measured.items()}
-    other = start_in_space(rig, followed, scanners, options, np.random.default_rng((options.seed, 3)), progress)
-    return max(start, other, key=lambda one: len(one.states))
 
 
 def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: float) -> list[Finding]:

@@ -78,7 +78,7 @@ def find_vehicle_pairs(
     observations: Sequence[SpaceObservations], states: Sequence[SensorState], gate: float
 ) -> list[VehiclePair]:
     """Tracks of two sensors that are of one vehicle: their median distance is below a gate, m."""
-    tracks = [[one for one in each.tracks if one.yaws is not None] for each in observations]
+    tracks = [each.vehicles for each in observations]
     near: list[tuple[float, int, int, VehiclePair]] = []
     for i in range(len(tracks)):
         R = observations[i].T_floor_sensor[:3, :3]
@@ -98,6 +98,12 @@ def find_vehicle_pairs(
         if not any(_contradict(pair, other) for other in found):
             found.append(pair)
     return found
+
+
+def measure_common_time(pairs: Sequence[VehiclePair]) -> float:
+    """Time for which two sensors measured the vehicles of pairs, s."""
+    spans = [(one.tracks[0].times, one.tracks[1].times) for one in pairs]
+    return float(sum(min(a[-1], b[-1]) - max(a[0], b[0]) for a, b in spans))
 
 
 def _contradict(pair: VehiclePair, other: VehiclePair) -> bool:
@@ -127,7 +133,7 @@ def reduce_vehicles(
         J = np.zeros((N, 2, size))
         for sign, sensor, points in zip((1.0, -1.0), pair.sensors, one.points, strict=True):
             by_state = states[sensor].place(points)[1][:, :2]
-            by_state[:, :, -BESIDE_POSE] = -one.velocity
+            by_state[:, :, -BESIDE_POSE] = one.velocity
             J[:, :, numbers[sensor][free[sensor]]] += sign * by_state[:, :, free[sensor]]
         label = np.unique(np.floor(one.times / _VIEW), return_inverse=True)[1].ravel()
         weight = (_FREEDOM + 2) / (_FREEDOM + np.sum(one.error**2, axis=1) / variance)

@@ -38,6 +38,8 @@ _CENTROID_STDDEV = 0.25
 _INTERVAL = 0.15
 # Longest time between sweeps of one track, s.
 _MAX_GAP = 0.7
+# Time after which a map begins anew, s: registrations drift by some centimetres until then.
+_MAX_STAY = 8.0
 # Edge of cells of the map, m, sweeps after which it is made again, and neighbours that give a normal.
 _MAP_CELL, _GROWTH, _NEIGHBORS = 0.07, 8, 10
 # Distances of points from the map up to which they match, m, by iteration; standard deviations of these along
@@ -111,7 +113,9 @@ def find_vehicles(
     for members in associate(objects, _CENTROID_STDDEV, settings.acceleration_density):
         if not is_moving_target(objects, members, settings.motion) or np.median(length[members]) < _MIN_LENGTH:
             continue
-        for part in np.split(members, np.flatnonzero(np.diff(mean_times[members]) > _MAX_GAP) + 1):
+        stay = np.floor((mean_times[members] - mean_times[members[0]]) / _MAX_STAY)
+        breaks = (np.diff(mean_times[members]) > _MAX_GAP) | (np.diff(stay) > 0)
+        for part in np.split(members, np.flatnonzero(breaks) + 1):
             chosen = _thin(mean_times[part])
             if len(chosen) >= settings.motion.min_detections:
                 rows = [np.arange(first[k], first[k] + count[k]) for k in part[chosen]]
@@ -121,10 +125,10 @@ def find_vehicles(
     return tuple(sorted(tracks, key=lambda track: float(track.times[0])))
 
 
-def follow_vehicles(observed: SpaceObservations) -> SpaceObservations:
-    """With tracks of vehicles besides those of bodies that are not parts of these."""
+def leave_out_vehicles(observed: SpaceObservations) -> SpaceObservations:
+    """Without tracks of bodies that are parts of vehicles."""
     apart = tuple(one for one in observed.tracks if not any(_is_part(one, other) for other in observed.vehicles))
-    return replace(observed, tracks=(*apart, *observed.vehicles))
+    return replace(observed, tracks=apart)
 
 
 def _is_part(track: BodyTrack, vehicle: BodyTrack) -> bool:
