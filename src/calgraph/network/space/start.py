@@ -141,10 +141,10 @@ def start_in_space(
         return start
     # Parts of vehicles that are tracked as people contradict poses, and are none.
     apart = {name: leave_out_vehicles(one) for name, one in observations.items()}
-    of_people = {name: to_scanner_tracks(one, settings) for name, one in apart.items()}
+    no_people = {name: replace(corrected.tracked[name], tracks=()) for name in driven}
     corrected = replace(
         corrected,
-        tracked={**corrected.tracked, **of_people},
+        tracked={**corrected.tracked, **no_people},
         pairs={**corrected.pairs, **pair_by_vehicles(driven, corrected)},
     )
     other = _place_sensors(rig, apart, scanners, corrected, options, rng)

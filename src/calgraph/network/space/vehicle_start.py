@@ -54,8 +54,10 @@ def _find_pose(
     observed: Sequence[SpaceObservations], tracked: Sequence[ScannerTracks]
 ) -> PoseHypothesis | None:
     """The pose under which most tracks of vehicles agree, by far; None without one."""
-    refined = []
+    refined: list[tuple[float, Array, float]] = []
     for T in _propose(observed):
+        if any(np.all(np.abs(se2.difference(T, one)) < _SAME) for _, one, _ in refined):
+            continue
         pose = _refine(observed, T)
         if pose is not None:
             refined.append(pose)
