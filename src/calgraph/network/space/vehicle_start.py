@@ -50,9 +50,7 @@ def pair_by_vehicles(
     return found
 
 
-def _find_pose(
-    observed: Sequence[SpaceObservations], tracked: Sequence[ScannerTracks]
-) -> PoseHypothesis | None:
+def _find_pose(observed: Sequence[SpaceObservations], tracked: Sequence[ScannerTracks]) -> PoseHypothesis | None:
     """The pose under which most tracks of vehicles agree, by far; None without one."""
     refined: list[tuple[float, Array, float]] = []
     for T in _propose(observed):
