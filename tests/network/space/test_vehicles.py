@@ -74,7 +74,8 @@ def test_vehicles_correct_poses_and_clocks_with_the_covariance_that_they_state(s
 
     for gate in (0.5, 0.3, 0.3, 0.3):
         driven = reduce_vehicles(find_vehicle_pairs(observed, states, gate), states, free)
-        states = move_states(states, free, -np.linalg.solve(driven.information, driven.gradient))
+        step = np.asarray(-np.linalg.solve(driven.information, driven.gradient), dtype=np.float64)
+        states = move_states(states, free, step)
 
     T = states[1].T_root_sensor
     error = np.array([*(T[:2, 3] - _T_A_B[:2, 2]), np.arctan2(T[1, 0], T[0, 0]) - 2.0])
