@@ -38,7 +38,7 @@ _CENTROID_STDDEV = 0.25
 _INTERVAL = 0.15
 # Longest time between sweeps of one track, s.
 _MAX_GAP = 0.7
-# Time after which a map begins anew, s: registrations drift by some centimetres until then.
+# Time after which a map begins again, s: registrations drift by some centimetres until then.
 _MAX_STAY = 8.0
 # Edge of cells of the map, m, sweeps after which it is made again, and neighbours that give a normal.
 _MAP_CELL, _GROWTH, _NEIGHBORS = 0.07, 8, 10
