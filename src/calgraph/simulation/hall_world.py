@@ -7,21 +7,22 @@ import numpy as np
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.simulation.drive_world import Layout, build_relief, build_walls, upright
-from calgraph.simulation.hall_bodies import Mover, Part, place_box
-from calgraph.simulation.hall_people import add_person, turn_body
+from calgraph.simulation.hall_bodies import Mover
+from calgraph.simulation.hall_people import add_person
 from calgraph.simulation.hall_scenario import HallScenario
+from calgraph.simulation.hall_vehicles import build_mover, draw_vehicles, drive_vehicle, measure_reach
 from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space, rectangle
 from calgraph.simulation.network_people import form_parties, separate_people
 from calgraph.simulation.network_scenario import PeopleOptions
-from calgraph.simulation.network_walks import SAMPLE_INTERVAL, Party, SimulatedWalk, body_clearance, draw_walks
+from calgraph.simulation.network_walks import Party, SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, ReliefShape, Surface
 
 _LENGTHS, _WIDTHS = (12.0, 25.0), (10.0, 18.0)
 """Of halls, m."""
 _HALL = Layout((0.0, 0.0), (0.0, 0.0), (4.5, 7.0), True, (0, 1, 2, 3), 7, 0, 0, 0.004, 0.005)
 """Walls with pilasters, ledges and panels; waves of floor and walls of 4 and 5 mm."""
-_CART_SIZE = (1.2, 0.8)
-"""Length and width of a vehicle, m."""
+_CORE = 0.6
+"""Share of the reach of a vehicle that its path keeps free."""
 _PASSAGE = 1.0
 """Least distance of furniture from furniture, m."""
 _DRAWS = 60
@@ -71,14 +72,15 @@ def build_hall(scenario: HallScenario) -> Hall:
         Surface(RectangleShape(2.0, 2.0), _on_wall(half, int(side), rng.uniform(-0.4, 0.4), 1.2, 0.35), 0.5)
         for side in rng.permutation(4)[: scenario.mirrors]
     )
-    walks, carts = _draw_paths(scenario, half, obstacles, walk_rng)
+    vehicles = draw_vehicles(scenario.carts, float(size[:2].min()), np.random.default_rng((scenario.seed, 4)))
+    walks, drives = _draw_paths(scenario, half, obstacles, [measure_reach(one) for one in vehicles], walk_rng)
     options = _people_options(scenario)
     movers = [add_person(walk, options, ground, people_rng) for walk in walks]
-    movers += [_drive_cart(walk, ground, people_rng) for walk in carts]
+    movers += [drive_vehicle(walk, ground, boxes, 0.5) for walk, boxes in zip(drives, vehicles, strict=True)]
     movers += _move_things(scenario, half, ground, thing_rng)
     circles = [[*one.mean(axis=0), np.linalg.norm(np.ptp(one, axis=0)) / 2] for one in obstacles]
     return Hall(
-        size, tuple(surfaces), mirrors, tuple(movers), (*walks, *carts), ground, np.reshape(circles, (-1, 3))
+        size, tuple(surfaces), mirrors, tuple(movers), (*walks, *drives), ground, np.reshape(circles, (-1, 3))
     )
 
 
@@ -214,9 +216,9 @@ def _people_options(scenario: HallScenario) -> PeopleOptions:
 
 
 def _draw_paths(
-    scenario: HallScenario, half: Array, obstacles: list[Array], rng: np.random.Generator
+    scenario: HallScenario, half: Array, obstacles: list[Array], reaches: list[float], rng: np.random.Generator
 ) -> tuple[tuple[SimulatedWalk, ...], tuple[SimulatedWalk, ...]]:
-    """Walks of people, and of vehicles."""
+    """Walks of people, and of vehicles with these reaches, m."""
     # Pilasters, doors and mirrors take up to 0.4 m of the floor along the walls.
     floor = Floor(rectangle(np.zeros(2), 2 * half - 0.8), True, tuple(obstacles))
     options = _people_options(scenario)
@@ -224,48 +226,17 @@ def _draw_paths(
     def find_space(reach: float) -> FreeSpace:
         return find_free_space(floor, body_clearance(options, reach), np.zeros((0, 3)))
 
-    parties, reach = form_parties(options, find_space), float(np.hypot(*_CART_SIZE)) / 2
-    vehicles = scenario.carts * [Party(reach, find_space(reach))] if scenario.carts else []
-    walks = draw_walks([*parties, *vehicles], np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
-    people = separate_people(options, walks[: len(parties)], rng)
-    return people, walks[len(parties) :]
-
-
-def _build_mover(
-    pose: Callable[[Array], tuple[Array, Array]],
-    boxes: list[tuple[tuple[float, float, float], tuple[float, float, float]]],
-    grey: float,
-) -> Mover:
-    """Boxes, by middle and half edges, in a frame at places (3, G) on the floor with yaws (G,)."""
-    corners = np.abs([middle for middle, _ in boxes]) + [size for _, size in boxes]
-    radius, height = float(np.linalg.norm(corners[:, :2], axis=1).max()), float(corners[:, 2].max())
-
-    def parts(times: Array) -> list[Part]:
-        place, yaw = pose(times)
-        R = turn_body(yaw)
-        return [
-            place_box(R, place + np.einsum("ijg,j->ig", R, np.array(middle)), size, grey) for middle, size in boxes
-        ]
-
-    return Mover(lambda times: pose(times)[0], radius, height, parts)
-
-
-def _drive_cart(walk: SimulatedWalk, ground: Callable[[Array], Array], rng: np.random.Generator) -> Mover:
-    """A vehicle with a load and a mast."""
-    length, width = np.array(_CART_SIZE) / 2
-    load = rng.uniform(0.3, 0.7)
-    last = walk.start + SAMPLE_INTERVAL * (len(walk.positions) - 1)
-
-    def pose(times: Array) -> tuple[Array, Array]:
-        places, yaw = walk.pose_at(np.clip(times, walk.start, last - 1e-6))
-        return np.column_stack([places, ground(places)]).T, yaw
-
-    boxes = [
-        ((0.0, 0.0, 0.25), (float(length), float(width), 0.15)),
-        ((-0.1, 0.0, 0.4 + load), (0.4, 0.35, float(load))),
-        ((0.5, 0.0, 0.9), (0.05, 0.3, 0.75)),
-    ]
-    return _build_mover(pose, boxes, 0.5)
+    parties = form_parties(options, find_space)
+    walks = draw_walks(parties, np.zeros((0, 2)), options, 0.0, scenario.duration + 1.0, rng)
+    # One by one: large bodies that heed each other block each other for minutes. Corners may touch furniture.
+    vehicles = [
+        draw_walks(
+            [Party(_CORE * reach, find_space(_CORE * reach))], np.zeros((0, 2)), options, 0.0,
+            scenario.duration + 1.0, rng,
+        )[0]
+        for reach in reaches
+    ]  # fmt: skip
+    return separate_people(options, walks, rng), tuple(vehicles)
 
 
 def _move_things(
@@ -280,12 +251,12 @@ def _move_things(
         changes = _draw_changes(scenario, rng)
         steps = rng.normal(0, [0.4, 0.4, 0.7], (len(changes) + 1, 3))
         stands = np.append(rng.uniform(-half + 1, half - 1), 0.0) + np.cumsum(steps, axis=0)
-        movers.append(_build_mover(_stand(stands, changes, ground), chair, 0.3))
+        movers.append(build_mover(_stand(stands, changes, ground), chair, 0.3))
         T = _on_wall(half, int(rng.integers(4)), rng.uniform(-0.4, 0.4), 0.0, 0.3)
         changes = _draw_changes(scenario, rng)
         opened = rng.uniform(0.5, 1.8) * (np.arange(len(changes) + 1) % 2)
         closed = np.array([*T[:2, 3], np.arctan2(T[1, 0], T[0, 0])])
-        movers.append(_build_mover(_stand(closed + opened[:, None] * [0, 0, 1], changes, ground), leaf, 0.5))
+        movers.append(build_mover(_stand(closed + opened[:, None] * [0, 0, 1], changes, ground), leaf, 0.5))
     return movers
 
 

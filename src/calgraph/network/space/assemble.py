@@ -202,8 +202,9 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     reasons = []
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
-    if not any(k in one.sensors for one in solution.persons):
-        reasons.append("no person was measured by it and another sensor at the same time and place")
+    by_persons = any(k in one.sensors for one in solution.persons)
+    if not by_persons and not any(k in one.sensors for one in solution.vehicles):
+        reasons.append("no person or vehicle was measured by it and another sensor at the same time and place")
     agree = (solution.agreement >= _MIN_AGREEMENT) & (solution.balance >= _MIN_BALANCE)
     connected = label_parts(len(solution.states), np.argwhere(agree))
     if connected[0] != connected[k]:

@@ -62,7 +62,7 @@ def find_bodies(moving: MovingPoints, T_floor_sensor: Array, view: StaticView) -
     levelled = moving.points @ T_floor_sensor[:3, :3].T + T_floor_sensor[:3, 3]
     used = (levelled[:, 2] > _HEIGHTS[0]) & (levelled[:, 2] < _HEIGHTS[1])
     points, sweep, times = levelled[used], moving.sweep[used], moving.times[used]
-    label = _cluster(points[:, :2], sweep)
+    label = cluster(points[:, :2], sweep)
     order = np.lexsort((times, label))
     points, sweep, times, label = points[order], sweep[order], times[order], label[order]
     first = np.flatnonzero(np.diff(label, prepend=-1))
@@ -108,9 +108,9 @@ def _build_nothing() -> Bodies:
     return Bodies(index, none, np.zeros((0, len(_SLICES) + 1, 3)), np.zeros((0, 3)), index, flags, flags)
 
 
-def _cluster(points: Array, sweep: Index) -> Index:
-    """(P,) number of the body of each point (P, 2), ascending in sweep."""
-    cell = np.floor(points / _CELL).astype(np.int64)
+def cluster(points: Array, sweep: Index, edge: float = _CELL) -> Index:
+    """(P,) number of the body of each point (P, 2), ascending in sweep, by cells of an edge length, m."""
+    cell = np.floor(points / edge).astype(np.int64)
     # Wide enough that neighbours never reach the next row or sweep.
     low = cell.min(axis=0, initial=0) - _REACH
     width = cell.max(axis=0, initial=0) - low + 2 * _REACH + 1

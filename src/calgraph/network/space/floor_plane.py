@@ -1,7 +1,8 @@
-"""The floor of a stationary 3-D LiDAR: the plane below it on which people stand.
+"""The floor of a stationary 3-D LiDAR: the plane below it on which people stand, or vehicles drive.
 
 People are upright: the long axes of what moves are near the vertical, which distinguishes floors from walls. Their
-heights over a plane distinguish a floor from ceilings and tables.
+heights over a plane distinguish a floor from ceilings and tables. Where no person walks, what drives extends least
+along the vertical, and reaches down to the floor.
 """
 
 from dataclasses import dataclass
@@ -46,6 +47,12 @@ _SUPPORT = 0.05
 _MIN_HEIGHT, _COMPARED = 1.0, 2000
 _MIN_STANDING, _STANDING = 0.8, (-0.3, 2.2)
 _MIN_TOP = 0.9
+# The same of vehicles, up to the roof of a truck; their 5 % quantile is near the floor, far below ceilings.
+_DRIVING, _MAX_BOTTOM, _MIN_ROOF = (-0.3, 4.5), 0.7, 0.4
+# Least ratio of the variances of moving points along the second axis and along the vertical.
+_DRIVEN_RATIO = 3.0
+# By how much more static points have to be on a plane below vehicles than on one below persons.
+_MORE_SUPPORT = 3.0
 # Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
 _GATES = (0.08, 0.06, 0.045, 0.045, 0.045)
 # Edge of cells of the floor that count equally, and of blocks whose errors are independent, m; least numbers.
@@ -67,13 +74,28 @@ def find_floor(
         rng: for the triples of points.
     """
     upright = find_upright_bodies(moving)
+    start, support = None, 0
+    if not isinstance(upright, Rejected):
+        axis, bodies = upright
+        start, support = _search_plane(static.points, bodies, axis, rng)
+    driven = _find_driven_axis(moving)
+    if driven is not None:
+        # Long sides of vehicles are not upright, and planes to which they are perpendicular have little support.
+        found, by_driving = _search_plane(static.points, moving.points, driven, rng, driven=True)
+        start = found if by_driving > _MORE_SUPPORT * support else start
+    if start is not None:
+        return _adjust_floor(static.points, start, range_bias, ring_bias)
     if isinstance(upright, Rejected):
         return upright
-    axis, bodies = upright
-    start = _search_plane(static.points, bodies, axis, rng)
-    if start is None:
-        return Rejected("no plane below the sensor is one on which the people whom it measured stand")
-    return _adjust_floor(static.points, start, range_bias, ring_bias)
+    return Rejected("no plane below the sensor is one on which the people whom it measured stand")
+
+
+def _find_driven_axis(moving: MovingPoints) -> Array | None:
+    """The unit axis (3,) along which moving points extend least; None if that may not be the vertical."""
+    if len(moving.points) < _COMPARED:
+        return None
+    values, vectors = np.linalg.eigh(np.cov(moving.points.T))
+    return np.asarray(vectors[:, 0]) if values[1] >= _DRIVEN_RATIO * values[0] else None
 
 
 def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:
@@ -105,12 +127,14 @@ def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:
     return axis, np.concatenate([bodies[k] for k in np.flatnonzero(upright)])
 
 
-def _search_plane(static: Array, bodies: Array, axis: Array, rng: np.random.Generator) -> Array | None:
-    """The plane (4,) with the most support of those on which bodies stand; None where there is none."""
+def _search_plane(
+    static: Array, bodies: Array, axis: Array, rng: np.random.Generator, driven: bool = False
+) -> tuple[Array | None, int]:
+    """The plane (4,) with the most support of those on which bodies stand, or drive, if any; and its support."""
     cube = np.floor(static / _CUBE).astype(np.int64)
     thinned = static[np.unique(cube, axis=0, return_index=True)[1]]
     if len(thinned) < _MIN_CELLS:
-        return None
+        return None, 0
     a, b, c = thinned[rng.integers(len(thinned), size=(3, _TRIPLES))]
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
@@ -120,14 +144,18 @@ def _search_plane(static: Array, bodies: Array, axis: Array, rng: np.random.Gene
     planes = planes[planes[:, 3] >= _MIN_HEIGHT]
     sample = bodies[:: max(1, len(bodies) // _COMPARED)]
     heights = plane.distance(planes, sample)
-    low, high = _STANDING
+    low, high = _DRIVING if driven else _STANDING
     standing = np.mean((heights > low) & (heights < high), axis=1) >= _MIN_STANDING
-    standing[standing] &= np.quantile(heights[standing], 0.9, axis=1) >= _MIN_TOP
+    top = np.quantile(heights[standing], 0.9, axis=1) >= (_MIN_ROOF if driven else _MIN_TOP)
+    standing[standing] &= top & (
+        np.quantile(heights[standing], 0.05, axis=1) < (_MAX_BOTTOM if driven else np.inf)
+    )
     planes = planes[standing]
     if not len(planes):
-        return None
+        return None, 0
     support = np.array([np.sum(np.abs(plane.distance(one, thinned)) < _SUPPORT) for one in planes])
-    return np.asarray(planes[np.argmax(support)])
+    best = int(np.argmax(support))
+    return np.asarray(planes[best]), int(support[best])
 
 
 def _adjust_floor(points: Array, start: Array, range_bias: float, ring_bias: float) -> Floor | Rejected:

@@ -31,6 +31,7 @@ from calgraph.network.space.static_surfaces import (
     reduce_surfaces,
     thin_points,
 )
+from calgraph.network.space.vehicle_pairs import VehiclePair, find_vehicle_pairs, reduce_vehicles
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.solver.clustered_covariance import (
     label_places,
@@ -72,6 +73,7 @@ class SpaceSolution:
     """(P, P) that it would be if the ranges of all sensors had no errors but noise."""
     persons: Sequence[LocalPerson]
     """The measurements of each person whom several sensors measured."""
+    vehicles: Sequence[VehiclePair]
     people: PeopleEquations
     shared: SharedSurfaces
     noise: NoiseModel
@@ -126,14 +128,16 @@ def solve_space(
     for k, (person_gate, surface_gate) in enumerate(zip(_PERSON_GATES, _SURFACE_GATES, strict=True)):
         if k < len(_PERSON_GATES) - _FIXED_STEPS:
             persons = [LocalPerson.of(one) for one in find_persons(samples, states, person_gate)]
+            vehicles = find_vehicle_pairs(observations, states, person_gate)
             shared = find_shared_surfaces(points, states, surface_gate, flat)
         reduced = reduce_persons(persons, states, body_noise, body, engine)
         people = add_persons(persons, reduced, free, len(body)).marginalize(_enlarge(states, free, len(body)))
         surfaces = reduce_surfaces(shared, states, noise, free)
+        driven = reduce_vehicles(vehicles, states, free)
         H = people.information + np.diag(information)
         g = people.gradient + np.append(measure_deviations(states, start)[free], body - expected) * information
-        H[:count, :count] += surfaces.information
-        g[:count] += surfaces.gradient
+        H[:count, :count] += surfaces.information + driven.information
+        g[:count] += surfaces.gradient + driven.gradient
         if earlier is not None:
             _add_poses(earlier, states, free, H, g)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
@@ -146,6 +150,8 @@ def solve_space(
         label_places(shared.surfaces.center[shared.surface]), label_rings(shared.sensor, shared.points)
     ):  # fmt: skip
         clusters.append(np.pad(surfaces.scores.sum_by(label), ((0, 0), (0, len(body)))))
+    for label in (label_times(driven.time), driven.source):
+        clusters.append(np.pad(sum_clusters(driven.scores, label), ((0, 0), (0, len(body)))))
     inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     covariance = widen_by_clusters(inverse, clusters)[:count, :count]
     agreement, balance = compare_walls([one.static.points for one in observations], states, flat)
@@ -161,7 +167,7 @@ def solve_space(
         begin = float(ends[0] - PERIOD)
     return SpaceSolution(
         states, free, covariance, _condition_on_ranges(covariance, free),
-        persons, people, shared, noise, body,
+        persons, vehicles, people, shared, noise, body,
         agreement=agreement,
         balance=balance,
         changes=changes,

@@ -34,7 +34,9 @@ class BodyTrack:
     tangential_stddev: Array
     """(T,) first guess, m."""
     slices: Index
-    """(T,) which slice of the body, from below; 0 of 2-D scanners, which have one."""
+    """(T,) which slice of the body, from below; 0 of 2-D scanners, which have one, and of vehicles."""
+    yaws: Array | None = None
+    """(T,) rad, in the levelled frame, of a vehicle, whose centres are of one point of it; None of a person."""
 
 
 @dataclass(frozen=True)
@@ -65,5 +67,7 @@ class SpaceObservations:
     coverage: Array
     """(W, 2) s, when it measured."""
     step: StaticStep | None = None
+    vehicles: tuple[BodyTrack, ...] = ()
+    """Which are used where people do not connect a network."""
     flat: bool = False
     """Whether it is a 2-D scanner: its points are of one plane in space, and show no surface by themselves."""

@@ -27,6 +27,7 @@ from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.on_floor import express_on_floor, leave_floor
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
+from calgraph.network.space.vehicles import find_vehicles
 from calgraph.network.track_recording import track_with_beam_times
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import MapEngine
@@ -279,11 +280,13 @@ def observe_clouds(
         return floor
     bodies = find_bodies(split.moving, floor.T_floor_sensor, split.view)
     tracks = track_bodies(bodies, floor.T_floor_sensor, settings)
-    if not tracks:
+    vehicles = find_vehicles(split.moving, floor.T_floor_sensor, settings)
+    if not tracks and not vehicles:
         return Rejected(
             f"{len(bodies.times)} bodies were measured in its sweeps, but none could be tracked for "
             f"{settings.motion.min_duration:g} s and {settings.motion.min_travel:g} m"
         )
     return SpaceObservations(
-        floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step
-    )
+        floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step,
+        vehicles,
+    )  # fmt: skip

@@ -17,6 +17,8 @@ from calgraph.network.options import NetworkOptions
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.space.body_tracks import to_scanner_tracks
 from calgraph.network.space.observations import BodyTrack, SpaceObservations, StaticPoints
+from calgraph.network.space.vehicle_start import pair_by_vehicles
+from calgraph.network.space.vehicles import leave_out_vehicles
 from calgraph.network.tracking.track import ScannerTracks, Track, correct_tracks
 from calgraph.parallel.progress import Progress
 from calgraph.surfaces.sensor_states import SensorState
@@ -134,6 +136,32 @@ def start_in_space(
     # background contradict nothing, and walls at several heights differ.
     bare = {name: replace(one, background=np.zeros((0, 2))) for name, one in scanners.items()}
     corrected = pair_scanners(rig, {**tracked, **bare}, options, rng, progress)
+    on_foot = {name: replace(one, vehicles=()) for name, one in observations.items()}
+    start = _place_sensors(rig, on_foot, scanners, corrected, options, rng)
+    driven = {name: one for name, one in observations.items() if one.vehicles}
+    if len(start.states) == len(tracked) + len(scanners) or len(driven) < 2:
+        return start
+    # Parts of vehicles that are tracked as people contradict poses, and are none.
+    apart = {name: leave_out_vehicles(one) for name, one in observations.items()}
+    no_people = {name: replace(corrected.tracked[name], tracks=()) for name in driven}
+    corrected = replace(
+        corrected,
+        tracked={**corrected.tracked, **no_people},
+        pairs={**corrected.pairs, **pair_by_vehicles(driven, corrected)},
+    )
+    other = _place_sensors(rig, apart, scanners, corrected, options, rng)
+    return max(start, other, key=lambda one: len(one.states))
+
+
+def _place_sensors(
+    rig: Rig,
+    observations: Mapping[str, SpaceObservations],
+    scanners: Mapping[str, ScannerTracks],
+    corrected: CorrectedPairs,
+    options: NetworkOptions,
+    rng: np.random.Generator,
+) -> SpaceStart:
+    """Averages pairs."""
     start = average_pairs(rig, corrected, options.select_method(rig.settings.published), rng)
     clocks = np.nan_to_num(start.average_clocks()[:, 0])
     observed, complete = dict(observations), dict(corrected.tracked)
