@@ -8,7 +8,12 @@ import pytest
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import se3, so3
-from calgraph.network.checks.extension import build_consistent_prior, extract_earlier_poses, merge_calibrations
+from calgraph.network.checks.extension import (
+    EARLIER_WEIGHT,
+    build_consistent_prior,
+    extract_earlier_poses,
+    merge_calibrations,
+)
 from calgraph.network.joint.planar_poses import NetworkPoses, build_scanner_prior, extract_poses
 from calgraph.network.space.joint import solve_space
 from calgraph.result import Calibration, SensorPose, Verdict
@@ -43,7 +48,8 @@ def test_errors_of_kept_and_estimated_lidars_are_correlated() -> None:
     prior = build_scanner_prior(poses, ("a", "b", "c"))
     measured = np.diag(np.tile([0.01, 0.02, 0.03, 0.005, 0.01, 0.02], 2) ** 2)
     posterior = np.linalg.inv(prior.information + np.linalg.inv(measured))
-    found = replace(poses.select(("a", "b", "c")), covariance=np.pad(posterior, (6, 0)))
+    enlarged = posterior / EARLIER_WEIGHT
+    found = replace(poses.select(("a", "b", "c")), covariance=np.pad(enlarged, (6, 0)))
     merged = merge_calibrations(calibration(found), calibration(poses), prior)
     assert [one.name for one in merged.sensors] == ["a", "b", "c", "d"]
     together = extract_poses(merged).covariance[6:, 6:]
@@ -51,8 +57,10 @@ def test_errors_of_kept_and_estimated_lidars_are_correlated() -> None:
     new = rng.multivariate_normal(np.zeros(12), measured, 4000)
     fused = (old[:, :12] @ prior.information + new @ np.linalg.inv(measured)) @ posterior
     sampled = np.cov(np.column_stack([fused, old[:, 12:]]).T)
-    size = np.sqrt(np.diag(together))
-    np.testing.assert_allclose(sampled / np.outer(size, size), together / np.outer(size, size), atol=0.1)
+    size = np.sqrt(np.diag(sampled))
+    scaled = sampled / np.outer(size, size), together / np.outer(size, size)
+    np.testing.assert_allclose(*(one[:12, 12:] for one in scaled), atol=0.1)
+    np.testing.assert_allclose(np.diag(scaled[1])[:12], 2.0, rtol=0.15)
 
 
 def test_a_lidar_that_moved_is_named(rng: np.random.Generator) -> None:

@@ -135,8 +135,8 @@ def _observe(rng: np.random.Generator, seed: int = 0) -> dict[str, SpaceObservat
                 yaws = poses[part, 2] + float(np.arctan2(T[1, 0], T[0, 0]))
                 centers = np.column_stack([at, np.full(len(at), -2.2)])
                 stddev = np.full(len(part), 0.05)
-                count = np.full(len(part), 50)
-                tracks.append(BodyTrack(times[part] + clock, centers, stddev, stddev, count, yaws))
+                slices = np.zeros(len(part), dtype=np.intp)
+                tracks.append(BodyTrack(times[part] + clock, centers, stddev, stddev, slices, yaws))
         static = StaticPoints(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.intp))
         nothing = SpaceObservations(
             _LEVEL, 1e-6 * np.eye(3), static, np.zeros(0, dtype=np.bool_), (), np.array([[0.0, 33.0]])
