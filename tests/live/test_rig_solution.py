@@ -1,6 +1,7 @@
 """Live solutions: an answer for any captures, and the numbers of a calibration."""
 
 import pickle
+import re
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -153,6 +154,19 @@ def test_solution_is_done_where_all_sensors_are_within_tolerance(simulated: tupl
     assert solution.done
     assert [sensor.progress for sensor in solution.sensors] == [1.0] * 4
     assert solution.advice is None
+
+
+def test_weak_sensors_have_the_largest_source_and_a_remedy_with_its_error(
+    simulated: tuple[Rig, CaptureSet],
+) -> None:
+    rig, captures = simulated
+    strict = rig.model_copy(
+        update={"tolerance": rig.tolerance.model_copy(update={"translation": 0.002, "rotation": 0.05})}
+    )
+    weak = [sensor for sensor in solve_captures(strict, captures).sensors if sensor.grade == "weak"]
+    assert len(weak) == 3
+    for sensor in weak:
+        assert re.search(r"the largest sources? of .*; record \d+ more captures like these: .* ±", sensor.reason)
 
 
 def test_no_captures_give_advice_for_the_first_pair(simulated: tuple[Rig, CaptureSet]) -> None:
