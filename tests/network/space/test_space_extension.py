@@ -58,9 +58,9 @@ def test_errors_of_kept_and_estimated_lidars_are_correlated() -> None:
     fused = (old[:, :12] @ prior.information + new @ np.linalg.inv(measured)) @ posterior
     sampled = np.cov(np.column_stack([fused, old[:, 12:]]).T)
     size = np.sqrt(np.diag(sampled))
-    scaled = sampled / np.outer(size, size), together / np.outer(size, size)
-    np.testing.assert_allclose(*(one[:12, 12:] for one in scaled), atol=0.1)
-    np.testing.assert_allclose(np.diag(scaled[1])[:12], 2.0, rtol=0.15)
+    sampled, together = sampled / np.outer(size, size), together / np.outer(size, size)
+    np.testing.assert_allclose(sampled[:12, 12:], together[:12, 12:], atol=0.1)
+    np.testing.assert_allclose(np.diag(together)[:12], 2.0, rtol=0.15)
 
 
 def test_a_lidar_that_moved_is_named(rng: np.random.Generator) -> None:
