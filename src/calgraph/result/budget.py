@@ -20,6 +20,7 @@ _REMEDIES: Mapping[str, str] = MappingProxyType({
     "drift": "recording more, with all sensors fixed",
     "stated pose": "a better known pose",
     "earlier calibration": "calibrating all sensors again",
+    "errors that both recordings share": "what makes the other sources smaller",
     "nothing measured": "data in other directions",
 })  # fmt: skip
 
