@@ -200,8 +200,10 @@ def record_hall(simulated: SimulatedHall, out: Path, progress: Progress) -> None
     )
     found = GroundTruth(truth.root, truth.T_root_sensor, (), truth.clock_offsets)
     rig = describe_rig(simulated.rig)
-    for sensor, height in zip(scenario.sensors[len(scenario.lidars) :], scenario.scanners, strict=True):
-        # Measured with a tape; walls and people do not show it.
+    # Measured with a tape, to 2 cm; walls and people do not show it.
+    errors = np.random.default_rng((scenario.seed, 5)).normal(0, 0.02, len(scenario.scanners))
+    heights = (np.array(scenario.scanners) + errors).round(3).tolist()
+    for sensor, height in zip(scenario.sensors[len(scenario.lidars) :], heights, strict=True):
         rig["sensors"][sensor.name]["height"] = height
     write_simulation(out, rig, found, messages, lambda done: progress(done, total))
     save_yaml(out / "scenario.yaml", asdict(scenario), f"seed: {scenario.seed}")

@@ -49,7 +49,7 @@ def test_what_is_as_small_as_a_person_is_no_vehicle() -> None:
 def test_poses_are_found_without_a_guess_from_different_points_of_a_vehicle(seed: int) -> None:
     observed = _observe(np.random.default_rng(seed))
 
-    (pair,) = pair_by_vehicles(observed, _without_people(observed)).values()
+    (pair,) = pair_by_vehicles(observed, _without_people(observed), frozenset("a")).values()
 
     error = se2.difference(pair.T_a_b, _T_A_B)
     assert np.hypot(error[0], error[1]) < 0.15
@@ -61,7 +61,41 @@ def test_vehicles_that_a_second_sensor_did_not_measure_connect_nothing() -> None
     observed = _observe(np.random.default_rng(0))
     other = _observe(np.random.default_rng(9), seed=5)
 
-    assert not pair_by_vehicles({"a": observed["a"], "b": other["b"]}, _without_people(observed))
+    assert not pair_by_vehicles({"a": observed["a"], "b": other["b"]}, _without_people(observed), frozenset("a"))
+
+
+def test_clocks_that_people_showed_are_those_of_vehicles() -> None:
+    """Both clocks are 2 s ahead, as is known; that of b is 0.03 s ahead of a's besides."""
+    observed = {
+        name: replace(one, vehicles=tuple(replace(track, times=track.times + 2.0) for track in one.vehicles))
+        for name, one in _observe(np.random.default_rng(0)).items()
+    }
+    known = replace(_without_people(observed), clock_offset={"a": 2.0, "b": 2.0})
+    (pair,) = pair_by_vehicles(observed, known, frozenset("a")).values()
+    assert abs(pair.hypotheses[0].clock_offset - _CLOCK) < 0.04
+
+
+def test_sensors_that_people_connect_are_not_paired_again() -> None:
+    observed = _observe(np.random.default_rng(0))
+    assert not pair_by_vehicles(observed, _without_people(observed), frozenset("ab"))
+
+
+def test_a_third_sensor_of_unknown_pose_determines_no_other() -> None:
+    a, b = _observe(np.random.default_rng(0)).values()
+    c = _observe(np.random.default_rng(1))["b"]
+    T = np.asarray(se2.to_se3(_T_A_B) @ _LEVEL)
+    states = [SensorState(_LEVEL), SensorState(T, _CLOCK), SensorState(T, _CLOCK)]
+    free = np.zeros((3, 12), dtype=np.bool_)
+    free[1:, [0, 1, 5, 6]] = True
+    two, three = (
+        np.sqrt(
+            np.diag(
+                np.linalg.inv(reduce_vehicles(find_vehicle_pairs(some, states, 0.5), states, free[:n]).information)
+            )
+        )
+        for some, n in (([a, b], 2), ([a, b, c], 3))
+    )
+    np.testing.assert_allclose(three[:4], two, rtol=0.1)
 
 
 @pytest.mark.parametrize("seed", range(3))

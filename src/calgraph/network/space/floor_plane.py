@@ -49,8 +49,9 @@ _MIN_STANDING, _STANDING = 0.8, (-0.3, 2.2)
 _MIN_TOP = 0.9
 # The same of vehicles, up to the roof of a truck; their 5 % quantile is near the floor, far below ceilings.
 _DRIVING, _MAX_BOTTOM, _MIN_ROOF = (-0.3, 4.5), 0.7, 0.4
-# Least ratio of the variances of moving points along the second axis and along the vertical.
-_DRIVEN_RATIO = 3.0
+# Least ratio of the variances of moving points along the second axis and along the vertical, and least standard
+# deviation along that axis, m: people on one line extend by 0.5 m along the vertical, and less across the line.
+_DRIVEN_RATIO, _MIN_SPREAD = 3.0, 1.0
 # By how much more static points have to be on a plane below vehicles than on one below persons.
 _MORE_SUPPORT = 3.0
 # Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
@@ -95,7 +96,7 @@ def _find_driven_axis(moving: MovingPoints) -> Array | None:
     if len(moving.points) < _COMPARED:
         return None
     values, vectors = np.linalg.eigh(np.cov(moving.points.T))
-    return np.asarray(vectors[:, 0]) if values[1] >= _DRIVEN_RATIO * values[0] else None
+    return np.asarray(vectors[:, 0]) if values[1] >= max(_DRIVEN_RATIO * values[0], _MIN_SPREAD**2) else None
 
 
 def find_upright_bodies(moving: MovingPoints) -> tuple[Array, Array] | Rejected:

@@ -19,6 +19,7 @@ from calgraph.network.space.person_paths import (
     PeopleEquations,
     PersonEquations,
     add_persons,
+    eliminate_direction,
     expect_shapes,
     reduce_persons,
     release_periods,
@@ -74,6 +75,7 @@ class SpaceSolution:
     persons: Sequence[LocalPerson]
     """The measurements of each person whom several sensors measured."""
     vehicles: Sequence[VehiclePair]
+    """Tracks of vehicles that two sensors measured."""
     people: PeopleEquations
     shared: SharedSurfaces
     noise: NoiseModel
@@ -104,7 +106,7 @@ def solve_space(
     engine: MapEngine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceSolution:
-    """Solves for all sensors jointly, by Gauss–Newton with persons and surfaces found again.
+    """Solves for all sensors jointly, by Gauss–Newton with persons, vehicles and surfaces found again.
 
     Args:
         observations: by sensor.
@@ -131,11 +133,14 @@ def solve_space(
             vehicles = find_vehicle_pairs(observations, states, person_gate)
             shared = find_shared_surfaces(points, states, surface_gate, flat)
         reduced = reduce_persons(persons, states, body_noise, body, engine)
-        people = add_persons(persons, reduced, free, len(body)).marginalize(_enlarge(states, free, len(body)))
+        people, larger = add_persons(persons, reduced, free, len(body)), _enlarge(states, free, len(body))
         surfaces = reduce_surfaces(shared, states, noise, free)
         driven = reduce_vehicles(vehicles, states, free)
-        H = people.information + np.diag(information)
-        g = people.gradient + np.append(measure_deviations(states, start)[free], body - expected) * information
+        H, g = (
+            eliminate_direction(one, people.information, larger) for one in (people.information, people.gradient)
+        )
+        H += np.diag(information)
+        g += np.append(measure_deviations(states, start)[free], body - expected) * information
         H[:count, :count] += surfaces.information + driven.information
         g[:count] += surfaces.gradient + driven.gradient
         if earlier is not None:
@@ -145,7 +150,10 @@ def solve_space(
         body = body + step[count:]
         body_noise, noise = _estimate_body_noise(reduced, body_noise), noise.estimated_again([surfaces])
         progress((k + 1) / len(_PERSON_GATES))
-    clusters = [sum_clusters(people.scores, label) for label in (label_times(people.time), people.source)]
+    clusters = [
+        eliminate_direction(sum_clusters(people.scores, label), people.information, larger)
+        for label in (label_times(people.time), people.source)
+    ]
     for label in (
         label_places(shared.surfaces.center[shared.surface]), label_rings(shared.sensor, shared.points)
     ):  # fmt: skip
@@ -161,7 +169,12 @@ def solve_space(
         left = np.append(measure_deviations(states, start)[free], body - expected) * information
         if earlier is not None:
             _add_poses(earlier, states, free, np.zeros_like(H), left)
-        equations, ends = release_periods(persons, states, body_noise, body, (information, left), free, surfaces)
+        held = replace(
+            surfaces,
+            information=surfaces.information + driven.information,
+            gradient=surfaces.gradient + driven.gradient,
+        )
+        equations, ends = release_periods(persons, states, body_noise, body, (information, left), free, held)
         places: Array = np.array([se_n.translation(one.T_root_sensor) for one in states])
         changes = find_changes(equations, free, ends, places - places[0], ("clock",), _FALSE_ALARM)
         begin = float(ends[0] - PERIOD)

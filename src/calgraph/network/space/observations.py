@@ -22,13 +22,13 @@ class StaticPoints:
 
 @dataclass(frozen=True, eq=False)
 class BodyTrack:
-    """One person, or cart, in one sensor over an interval without a break."""
+    """One person, or vehicle, in one sensor over an interval without a break."""
 
     times: Array
     """(T,) s, by the sensor's clock, ascending: mean time of its points, the same for the slices of a sweep."""
     centers: Array
     """(T, 3) sensor frame, m: the middle of the silhouette of a slice of the body at the median horizontal range
-    of its front surface, at the mean height of its points."""
+    of its front surface, at the mean height of its points. Of a vehicle, the middle of its map."""
     radial_stddev: Array
     """(T,) first guess, m."""
     tangential_stddev: Array

@@ -254,7 +254,7 @@ def _arrange_rows(
     gather: csr_array,
     numbers: int,
 ) -> _Rows:
-    """Rows for places (N, 3), unit vectors of view (N, 2), and of walk (N, 2), 0 of who stands."""
+    """Rows for places (N, 3), unit vectors of view (N, 2), and of walk (N, 2), 0 of who never walks."""
     N, (first, weights, controls) = len(places), basis
     direction = np.concatenate([outward, np.column_stack([-outward[:, 1], outward[:, 0]])])
     above = np.where(samples.band >= UPPER_SLICES, _BELOW, places[:, 2] - _MIDDLE)
@@ -283,7 +283,7 @@ def _derive_by_shape(direction: Array, heading: Array, above: Array, distance: A
 
     Args:
         direction: (2N, 2) unit vectors, radial ones first.
-        heading: (N, 2) unit vectors of walk, 0 of who stands.
+        heading: (N, 2) unit vectors of walk, 0 of who never walks.
         above: (N,) heights over the middle of the upper body, m.
         distance: (N,) from the sensor, m.
     """
@@ -414,19 +414,18 @@ class PeopleEquations:
     source: Index
     """(V,) number of person and sensor."""
 
-    def marginalize(self, direction: Array) -> "PeopleEquations":
-        """The equations where a move along a direction (P + 6B,) is a further unknown, which is eliminated."""
-        by_direction = self.information @ direction
-        total = float(direction @ by_direction)
-        if total <= 0:
-            return self
-        along = csr_array((self.scores @ direction / total)[:, None])
-        return replace(
-            self,
-            information=self.information - np.outer(by_direction, by_direction) / total,
-            gradient=self.gradient - by_direction * float(direction @ self.gradient) / total,
-            scores=csr_array(self.scores - along @ csr_array(by_direction[None])),
-        )
+
+def eliminate_direction(values: Array, information: Array, direction: Array) -> Array:
+    """Information, gradient, or sums of scores (..., P) where a move along a direction is eliminated as well.
+
+    Args:
+        values: of the equations.
+        information: (P, P) of the same.
+        direction: (P,) along which the unknowns move by a further one.
+    """
+    by_direction = information @ direction
+    total = max(float(direction @ by_direction), np.finfo(np.float64).tiny)
+    return np.asarray(values - np.multiply.outer(values @ direction / total, by_direction))
 
 
 @dataclass(frozen=True, eq=False)

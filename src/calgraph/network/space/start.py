@@ -117,7 +117,7 @@ def start_in_space(
     rng: np.random.Generator,
     progress: Progress,
 ) -> SpaceStart:
-    """Start values of the sensors that people connect to the root.
+    """Start values of the sensors that people, or vehicles, connect to the root.
 
     A levelled sensor has three unknowns beside its clock, those of a planar scanner: pairs are registered and
     averaged as such.
@@ -144,13 +144,15 @@ def start_in_space(
     # Parts of vehicles that are tracked as people contradict poses, and are none.
     apart = {name: leave_out_vehicles(one) for name, one in observations.items()}
     no_people = {name: replace(corrected.tracked[name], tracks=()) for name in driven}
-    corrected = replace(
-        corrected,
-        tracked={**corrected.tracked, **no_people},
-        pairs={**corrected.pairs, **pair_by_vehicles(driven, corrected)},
+    by_vehicles = pair_by_vehicles(driven, corrected, frozenset(start.states))
+    without = replace(
+        corrected, tracked={**corrected.tracked, **no_people}, pairs={**corrected.pairs, **by_vehicles}
     )
-    other = _place_sensors(rig, apart, scanners, corrected, options, rng)
-    return max(start, other, key=lambda one: len(one.states))
+    other = _place_sensors(rig, apart, scanners, without, options, rng)
+    if len(other.states) <= len(start.states):
+        return start
+    people = {name: corrected.tracked[name] for name in driven}
+    return replace(other, corrected=replace(other.corrected, tracked={**other.corrected.tracked, **people}))
 
 
 def _place_sensors(
@@ -161,7 +163,7 @@ def _place_sensors(
     options: NetworkOptions,
     rng: np.random.Generator,
 ) -> SpaceStart:
-    """Averages pairs."""
+    """Start values from averages of pairs."""
     start = average_pairs(rig, corrected, options.select_method(rig.settings.published), rng)
     clocks = np.nan_to_num(start.average_clocks()[:, 0])
     observed, complete = dict(observations), dict(corrected.tracked)

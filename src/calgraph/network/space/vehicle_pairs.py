@@ -90,6 +90,10 @@ def find_vehicle_pairs(
                 assert first.yaws is not None
                 axis = np.column_stack([np.cos(first.yaws), np.sin(first.yaws), np.zeros(len(first.yaws))]) @ R
                 for b, second in enumerate(tracks[j]):
+                    later = states[j].clock_offset - states[i].clock_offset
+                    begin = max(first.times[0] + later, second.times[0])
+                    if min(first.times[-1] + later, second.times[-1]) - begin < _MIN_COMMON:
+                        continue
                     pair = VehiclePair((i, j), (first, second), axis)
                     compared = _compare(pair, states)
                     if compared is not None:
@@ -131,6 +135,10 @@ def reduce_vehicles(
     if compared:
         errors = np.concatenate([one.error.ravel() for _, _, one in compared])
         variance = max(1.4826 * float(np.median(np.abs(errors))), _MIN_STDDEV) ** 2
+    measured: dict[int, set[int]] = {}
+    for pair in pairs:
+        for track in pair.tracks:
+            measured.setdefault(id(track), set()).update(pair.sensors)
     for k, pair, one in compared:
         N = len(one.times)
         J = np.zeros((N, 2, size))
@@ -141,6 +149,8 @@ def reduce_vehicles(
         label = np.unique(np.floor(one.times / _VIEW), return_inverse=True)[1].ravel()
         weight = (_FREEDOM + 2) / (_FREEDOM + np.sum(one.error**2, axis=1) / variance)
         weight /= variance * np.bincount(label)[label]
+        # All pairs of N sensors have N/2 times the information of their N tracks.
+        weight *= 2 / len(measured[id(pair.tracks[0])] | measured[id(pair.tracks[1])])
         D = one.by_offset
         of_offset = np.einsum("n,nri,nrj->ij", weight, D, D) + np.diag(_OFFSET**-2)
         cross = np.einsum("n,nri,nrp->ip", weight, D, J)

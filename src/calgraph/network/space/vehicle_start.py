@@ -5,6 +5,7 @@ pose is proposed from each two tracks at the same time, and all others vote for 
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -16,7 +17,7 @@ from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.synchronized_tracks import to_ticks
 from calgraph.network.scanner_pairs import CorrectedPairs
-from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.observations import BodyTrack, SpaceObservations
 from calgraph.network.space.vehicle_pairs import find_vehicle_pairs, measure_common_time, reduce_vehicles
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, move_states
@@ -36,18 +37,32 @@ _SAME = np.array([1.0, 1.0, 0.15])
 
 
 def pair_by_vehicles(
-    observations: Mapping[str, SpaceObservations], corrected: CorrectedPairs
+    observations: Mapping[str, SpaceObservations], corrected: CorrectedPairs, connected: frozenset[str]
 ) -> dict[tuple[str, str], ScannerPairEstimate]:
-    """Poses of the pairs of sensors that people do not connect, in their levelled planes."""
+    """Poses of the pairs of sensors that people do not connect, in their levelled planes.
+
+    Args:
+        observations: of sensors that measured vehicles, by their clocks.
+        corrected: pairs by people, and what is known of clocks.
+        connected: sensors that people connect to the root.
+    """
     found = {}
+    by_root = {
+        name: replace(one, vehicles=_correct_clock(one.vehicles, corrected.clock_offset.get(name, 0.0)))
+        for name, one in observations.items()
+    }
     for ends in combinations(observations, 2):
         known = corrected.pairs.get(ends)
-        if isinstance(known, ScannerPairEstimate):
+        if isinstance(known, ScannerPairEstimate) or connected.issuperset(ends):
             continue
-        one = _find_pose([observations[name] for name in ends], [corrected.tracked[name] for name in ends])
+        one = _find_pose([by_root[name] for name in ends], [corrected.tracked[name] for name in ends])
         if one is not None:
             found[ends] = ScannerPairEstimate(*ends, (one,))
     return found
+
+
+def _correct_clock(tracks: Sequence[BodyTrack], offset: float) -> tuple[BodyTrack, ...]:
+    return tuple(replace(one, times=one.times - offset) for one in tracks)
 
 
 def _find_pose(observed: Sequence[SpaceObservations], tracked: Sequence[ScannerTracks]) -> PoseHypothesis | None:

@@ -2,7 +2,7 @@
 
 What moves and is larger than a person is followed by its centroid, and each of its sweeps is then registered to a
 map of the body that grows with them. This gives the motion of a point that is fixed to the body, while centroids
-follow the side that faces the sensor. Which point it is, another sensor does not know: see ``person_paths.py``.
+follow the side that faces the sensor. Which point it is, another sensor does not know: see ``vehicle_pairs.py``.
 
 Sources: Chen and Medioni, "Object modelling by registration of multiple range images", 1992, for distances from
 planes; Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
@@ -74,7 +74,7 @@ class _Map:
         """A map of points (N, 3)."""
         means = sum_moments(points, _MAP_CELL).mean
         tree = cKDTree(means)
-        _, near = tree.query(means, min(_NEIGHBORS, len(means)))
+        near = tree.query(means, min(_NEIGHBORS, len(means)))[1].reshape(len(means), -1)
         off = means[near] - means[near].mean(axis=1, keepdims=True)
         values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
         normals = vectors[:, :2, 0]
