@@ -217,7 +217,11 @@ def show_more_captures(draws: int) -> None:
                 for count in (k, 2 * k)
             )
             for one in few.evidence.remedies:
-                if one.captures and not one.uncertainty and "camera" in [sensor.name for sensor in more.sensors]:
+                if (
+                    one.captures == k
+                    and not one.uncertainty
+                    and "camera" in [sensor.name for sensor in more.sensors]
+                ):
                     axis = KINDS["camera"].axes.index(one.axis)
                     ratios.append(float(more["camera"].axis_stddev[axis]) / one.expected)
         low, high = np.quantile(ratios, [0.05, 0.95])

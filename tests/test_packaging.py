@@ -64,7 +64,7 @@ def read_commands(*names: str) -> list[str]:
 
 
 def test_commands_that_no_test_runs_are_shell() -> None:
-    """That of pip, make, docker, git, ROS and Python."""
+    """Those of pip, make, docker, git, ROS and Python."""
     commands = read_commands("pip", "make", "docker", "git", "colcon", "ros2", "rosbag", "python")
     assert len(commands) > 40
     for one in commands:
@@ -81,9 +81,9 @@ def list_unknown(commands: list[str]) -> list[str]:
         program, *words = shlex.split(one, comments=True)
         if program == "make":
             unknown += {word for word in words if "=" not in word} - set(targets)
-        files = [word for word in words if re.fullmatch(r"[\w/]+\.(py|txt)", word)]
+        files = [word for word in words if re.fullmatch(r"[\w./-]+\.(py|txt)", word)]
         unknown += [name for name in files if program in ("pip", "python") and not (ROOT / name).is_file()]
-        unknown += [extra for extra in re.findall(r"(?<=[\[,])\w+(?=[\],])", one) if extra not in extras]
+        unknown += [extra for extra in re.findall(r"(?<=[\[,])[\w-]+(?=[\],])", one) if extra not in extras]
         if program == "docker" and words[0] == "build":
             unknown += [] if (ROOT / words[-1] / "Dockerfile").is_file() else [one]
         if "calgraph_" in one:

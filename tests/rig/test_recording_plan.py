@@ -87,6 +87,17 @@ def test_the_prediction_for_given_boards_is_what_their_calibration_publishes(wor
         assert ratio.min() > 0.75
 
 
+def test_sources_of_the_limit_add_up_to_it(world: World) -> None:
+    planned = describe(world, world_rig(world))
+    boards = detect_boards(planned, draw_boards(planned, np.random.default_rng(0)), 40)
+    plan = plan_captures(planned, 40, *boards)
+    for k, sensor in enumerate(plan.sensors, start=1):
+        total = np.sqrt(np.sum(plan.limit_budget.stddev[:, k] ** 2, axis=0))
+        # The limit contains drifts that stay undetected besides.
+        assert np.all(total <= 1.01 * sensor.limit)
+        assert np.median(total / sensor.limit) > 0.97
+
+
 def test_four_times_as_many_captures_halve_what_they_average(world: World, plan: RecordingPlan) -> None:
     many = plan_recording(describe(world, world_rig(world)), 160, np.random.default_rng(0))
     for one, other in zip(plan.sensors, many.sensors, strict=True):

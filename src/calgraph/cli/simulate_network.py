@@ -42,7 +42,11 @@ Lidars = Annotated[
 Scanners = Annotated[
     int,
     typer.Option(
-        "--scanners", metavar="N", min=0, max=100, help="2-D scanners beside the LiDARs, 0.3, 0.9 and 1.4 m high."
+        "--scanners",
+        metavar="N",
+        min=0,
+        max=100,
+        help="2-D scanners beside the LiDARs, 0.3, 0.9 and 1.4 m high in turn.",
     ),
 ]
 _SCANNER_HEIGHTS = (0.3, 0.9, 1.4)
@@ -68,9 +72,10 @@ def simulate_network_options(
     the sensors are 3-D LiDARs in a hall, and --scanners adds 2-D scanners.
     """
     if lidars:
+        _refuse_options_of_scanners([*options, *(["scenario"] if scenario else [])])
         heights = tuple(islice(cycle(_SCANNER_HEIGHTS), scanners))
         hall = HallScenario(seed, lidars=(lidar_model,) * lidars, scanners=heights)
-        _simulate_hall(out, hall, [*options, *(["scenario"] if scenario else [])], options)
+        _simulate_hall(out, hall, options)
         return
     if scanners:
         raise InputError("--scanners: are beside LiDARs (--lidars); --scanner-count is that of 2-D scanners alone")
@@ -85,11 +90,16 @@ def simulate_network_options(
         simulate_into(folder, simulate, chosen, seed, progress)
 
 
-def _simulate_hall(out: Path, start: HallScenario, given: list[str], options: dict[str, Any]) -> None:
+def _refuse_options_of_scanners(given: list[str]) -> None:
     unknown = [name for name in given if name not in _HALL_OPTIONS]
     if unknown:
         raise InputError(f"--{unknown[0].replace('_', '-')}: is of 2-D scanners; leave it out with --lidars")
-    chosen = {_HALL_OPTIONS[name]: type(getattr(start, _HALL_OPTIONS[name]))(options[name]) for name in given}
+
+
+def _simulate_hall(out: Path, start: HallScenario, options: dict[str, Any]) -> None:
+    chosen = {
+        _HALL_OPTIONS[name]: type(getattr(start, _HALL_OPTIONS[name]))(value) for name, value in options.items()
+    }
     hall = replace(start, **chosen)
     with simulated_folder(out) as (folder, progress):
         record_hall(simulate_hall(hall), folder, lambda done, total: progress("writing", done / total))

@@ -133,7 +133,7 @@ def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) ->
     if not _is_helped_by_walks(weak):
         source = next(filter(names_sources, split_clauses(weak[0].reason)))
         advice = split_clauses(weak[0].reason)[-1]
-        return "measuring", f"More walks help {name_sensors(beyond)} little: {source}; {advice}"
+        return "measuring", f"For {weak[0].name}: {advice} ({source.replace(' of it:', ':')})"
     minutes = forecast.minutes_left()
     left = "" if minutes is None else f": about {_format_minutes(minutes)} more"
     where = "in the orange areas" if has_areas else "where several scanners detect you"

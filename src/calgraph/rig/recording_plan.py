@@ -144,7 +144,9 @@ def plan_captures(
     )
     needed = _COUNTS[first] if first < len(_COUNTS) else None
     unlimited = _scale_captures(boards, _UNLIMITED).minimized
-    parts = split_covariance(bundle, unlimited)
+    # Information of views is scaled: biases of as many views average, too.
+    averaged = replace(bundle, bias_variance=bundle.bias_variance * len(boards.captures) / _UNLIMITED)
+    parts = split_covariance(averaged, unlimited)
     budget = ErrorBudget.of_poses(list(parts), np.array(list(parts.values())), list(unlimited.state.T_root_sensor))
     return RecordingPlan(captures, sensors, limits, needed, places, budget)
 

@@ -10,8 +10,9 @@ from calgraph.geometry import Array
 
 # Least decrease of the worst standard deviation over its limit by a remedy that does not suffice.
 _MIN_DECREASE = 0.1
-# Of the limit, what further data should leave: of simulated rigs, the next calibration states up to 1.1 of the
-# predicted standard deviation in 95 % ("Remedies" in docs/benchmarks.md).
+# Of the limit, what further data should leave: the next calibration of simulated rigs states up to 1.1 of the
+# predicted standard deviation in 95 %; of networks and the real VLP-16, 1.3, which this does not cover ("Remedies"
+# in docs/benchmarks.md).
 _PROMISED_SHARE = 0.9
 # Remedies of one sensor: more are not read.
 _MAX_REMEDIES = 3
