@@ -27,12 +27,12 @@ from calgraph.rig.bundle.board_outlines import add_outlines
 from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
 from calgraph.rig.bundle.bundle_solver import MinimizedBundle, linearize_bundle
 from calgraph.rig.bundle.covariances import information_by_board, pose_covariance, pose_jacobian, sum_information
-from calgraph.rig.bundle.error_sources import split_covariance
 from calgraph.rig.bundle.observations import stack_poses
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.variance_components import usual_bias_variances
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.checks.drift_tests import include_drifts, order_boards, score_drifts
+from calgraph.rig.checks.assemble import split_budget
+from calgraph.rig.checks.drift_tests import DriftStatistics, include_drifts, order_boards, score_drifts
 from calgraph.rig.checks.next_best_pose import MAX_PREDICTED_TILT, MIN_SEGMENT_SHARE, axes_of, select_board_poses
 from calgraph.rig.fields_of_view import FieldOfView, PlannedRig
 from calgraph.sensors import CameraModel
@@ -143,11 +143,13 @@ def plan_captures(
         if i
     )
     needed = _COUNTS[first] if first < len(_COUNTS) else None
-    unlimited = _scale_captures(boards, _UNLIMITED).minimized
+    unlimited = _scale_captures(boards, _UNLIMITED)
+    published, drifts = _publish(unlimited, rig)
     # Information of views is scaled: biases of as many views average, too.
     averaged = replace(bundle, bias_variance=bundle.bias_variance * len(boards.captures) / _UNLIMITED)
-    parts = split_covariance(averaged, unlimited)
-    budget = ErrorBudget.of_poses(list(parts), np.array(list(parts.values())), list(unlimited.state.T_root_sensor))
+    published = replace(published, solved_bundle=replace(unlimited, bundle=averaged))
+    budget = split_budget(published, bundle.sensors, drifts)
+    assert budget is not None
     return RecordingPlan(captures, sensors, limits, needed, places, budget)
 
 
@@ -189,13 +191,19 @@ def _scale_captures(boards: SolvedBundle, captures: int) -> SolvedBundle:
 
 def _predict_stddev(solved: SolvedBundle, rig: Rig) -> Array:
     """(S, 6) published standard deviations along and about the axes of all sensors."""
+    published, _ = _publish(solved, rig)
+    T_root_sensor, covariance = published.T_root_sensor, published.covariance
+    return np.array([stddev_along_axes(T, covariance[name]) for name, T in T_root_sensor.items()])
+
+
+def _publish(solved: SolvedBundle, rig: Rig) -> tuple[RigSolution, DriftStatistics]:
+    """The solution with the covariance that a calibration publishes, and what shows drifts."""
     bundle, state, equations = solved.bundle, solved.minimized.state, solved.minimized.equations
     T_root_sensor = dict(zip(bundle.sensors, state.T_root_sensor, strict=True))
     covariance = pose_covariance(bundle, state, equations)
     solution = RigSolution("bundle", T_root_sensor, covariance, {}, converged=True)
     drifts = score_drifts(bundle, state, equations, order_boards(solved))
-    published = include_drifts(solution, solved, drifts, rig.settings.diagnostics)
-    return np.array([stddev_along_axes(T, published.covariance[name]) for name, T in T_root_sensor.items()])
+    return include_drifts(solution, solved, drifts, rig.settings.diagnostics), drifts
 
 
 # Draws of the places of a recording, of whose standard deviations the median is predicted.

@@ -253,7 +253,7 @@ def assemble_rig(
         of_root = [f"the root {rig.root} is weak, in whose frame the pose is"]
         reasons = {name: reasons.get(name, of_root) for name in connected}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
-    rows, budget = _rows_of(solution, root_first), _split_budget(solution, root_first, drifts)
+    rows, budget = _rows_of(solution, root_first), split_budget(solution, root_first, drifts)
     sensors, covariance = [], solution.covariance
     for k, name in enumerate(root_first):
         spec, T = rig.sensors[name], solution.T_root_sensor[name]
@@ -327,7 +327,7 @@ def _rows_of(solution: RigSolution, names: Sequence[str]) -> Index:
     return np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
 
 
-def _split_budget(
+def split_budget(
     solution: RigSolution, names: Sequence[str], drifts: DriftStatistics | None
 ) -> ErrorBudget | None:
     """What the covariance of the poses comes from; what is added after the solution are sources, too."""
