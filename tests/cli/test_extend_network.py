@@ -90,14 +90,14 @@ def halves(tmp_path_factory: pytest.TempPathFactory, run: Run) -> Halves:
     return Halves(folder, network_truth(network))
 
 
-def test_two_halves_one_after_the_other_are_better_than_one(halves: Halves, run: Run, tmp_path: Path) -> None:
-    """Standard deviations fall after the second recording, and errors of all poses agree with the covariance."""
+def test_two_halves_one_after_the_other_are_as_certain_as_one(halves: Halves, run: Run, tmp_path: Path) -> None:
+    """Errors of ranges are the same in both, and dominate; errors of all poses agree with the covariance."""
     old = halves.folder / "out"
     result = run("calibrate", halves.folder / "rig.yaml", halves.folder / "second", "-o", tmp_path / "new",
                  "--extend", old / "calibration.yaml")  # fmt: skip
     assert result.exit_code == 0, result.output
     before, after = (load_calibration(out / "calibration.yaml") for out in (old, tmp_path / "new"))
-    assert np.all(deviations(after) < deviations(before))
+    np.testing.assert_allclose(deviations(after), deviations(before), rtol=0.15)
     assert halves.distance(after) < chdtri(6, 1e-4)
 
 

@@ -19,7 +19,8 @@ def test_people_in_a_corridor_stand_on_its_floor_and_not_on_its_wall() -> None:
     sweep = np.repeat(np.arange(200), 40)
     walk = np.column_stack([10 * np.sin(0.05 * sweep), np.full(len(sweep), -4.2), np.full(len(sweep), -1.8)])
     body = rng.uniform(-1, 1, (len(sweep), 3)) * [0.2, 0.15, 0.8]
-    moving = MovingPoints(walk + body, 0.1 * sweep, sweep, 0.1)
+    times = np.asarray(0.1 * sweep, dtype=np.float64)
+    moving = MovingPoints(walk + body, times, sweep, 0.1)
 
     found = find_floor(static, moving, 0.02, 0.003, rng)
 

@@ -52,7 +52,8 @@ _DRIVING, _MAX_BOTTOM, _MIN_ROOF = (-0.3, 4.5), 0.7, 0.4
 # Least ratio of the variances of moving points along the second axis and along the vertical, and least standard
 # deviation along that axis, m: people on one line extend by 0.5 m along the vertical, and less across the line.
 _DRIVEN_RATIO, _MIN_SPREAD = 3.0, 1.0
-# By how much more static points have to be on a plane below vehicles than on one below persons.
+# By how much more static points have to be on a plane below vehicles than on one below persons: in two halls with
+# vehicles, floors have 335 to 1012, and planes below what is taken for persons 13 to 78.
 _MORE_SUPPORT = 3.0
 # Gates of points, m, in steps of the adjustment: from errors of three points to relief and noise.
 _GATES = (0.08, 0.06, 0.045, 0.045, 0.045)

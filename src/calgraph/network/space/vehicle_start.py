@@ -28,9 +28,10 @@ _MIN_COMMON, _MIN_WAY, _MIN_AGREEING = 3.0, 2.0, 8.0
 _GATES = (0.5, 0.4, 0.3, 0.2)
 # Standard deviations of refined poses, m and rad, and of clocks before, s.
 _STDDEV, _CLOCK_STDDEV = np.array([0.2, 0.2, 0.03]), 0.1
-# Standard deviation of distances of registered tracks, m, as that of tracks of people.
+# Standard deviation of distances of registered tracks, m: assumed to be that of tracks of people, as walls and the
+# joint solution correct these poses.
 _MODEL_ERROR = 0.08
-# Share of the best one's time from which another pose is as likely.
+# Share of the best one's time from which another pose is as likely: assumed; in six halls no pair is wrong.
 _AMBIGUOUS = 0.7
 # Distances up to which two poses are the same, m and rad.
 _SAME = np.array([1.0, 1.0, 0.15])
