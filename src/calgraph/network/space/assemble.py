@@ -84,6 +84,8 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     covariance, clocks = np.zeros((6, 6)), np.zeros(1)
     if solution:
         covariance, clocks = express_in_root(solution, solution.covariance, T_root_world)
+        untimed = np.array([start.observed[name].untimed for name in names])
+        clocks = np.sqrt(clocks**2 + (untimed**2 + untimed[0] ** 2) / 12)
     by_sensor = collect_findings(result.findings)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)

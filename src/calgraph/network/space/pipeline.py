@@ -105,7 +105,7 @@ def calibrate_in_space(
     findings = [*findings, *monitor.findings(), *found]
     scanners = {name: one for name, one in tracked.items() if isinstance(one, ScannerTracks)}
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
-    findings += _describe_steps(solved, measured, recording.start)
+    findings += _describe_steps(solved, measured, recording.start) + _describe_untimed(measured)
     rng = np.random.default_rng(options.seed)
     start = start_in_space(solved, measured, scanners, options, rng, progress)
     findings += start.corrected.findings
@@ -227,6 +227,21 @@ def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: 
     ]
 
 
+def _describe_untimed(measured: Mapping[str, SpaceObservations]) -> list[Finding]:
+    """A finding about the sensors whose points have no times; poses are averages over directions of walks."""
+    names = [name for name, one in measured.items() if one.untimed]
+    if not names:
+        return []
+    longest = max(measured[name].untimed for name in names)
+    return [
+        Finding(
+            f"clouds of {', '.join(names)} have no times of points, which are up to a sweep "
+            f"({1000 * longest:.0f} ms) from their stamps: their clock offsets are uncertain by that; let "
+            "their drivers write them"
+        )
+    ]
+
+
 def _solve(
     rig: Rig, start: SpaceStart, engine: MapEngine, progress: Progress, earlier: ScannerPrior | None = None
 ) -> SpaceSolution:
@@ -288,5 +303,5 @@ def observe_clouds(
         )
     return SpaceObservations(
         floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step,
-        vehicles,
+        vehicles, untimed=split.untimed,
     )  # fmt: skip

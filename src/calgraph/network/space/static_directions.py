@@ -152,6 +152,8 @@ class SplitClouds:
     """(W, 2) begin and end of the intervals in which it measured, s."""
     step: StaticStep | None
     """When the sensor moved, if it did."""
+    untimed: float
+    """As of :class:`SpaceObservations`."""
 
 
 def find_rows(points: Array) -> Index:
@@ -222,6 +224,8 @@ class CloudSplitter:
         rank = np.empty(len(stamps), dtype=np.intp)
         rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
         static, of_slot, enough = self._average()
+        duration = float(np.median(last - first))
+        period = float(np.median(np.diff(np.sort(stamps)))) if len(stamps) > 1 else 0.0
         count, total = np.moveaxis(self._by_period[:, enough], -1, 0)
         return SplitClouds(
             static,
@@ -229,11 +233,12 @@ class CloudSplitter:
                 moving.points[order].astype(np.float64),
                 (stamps[moving.sweep] + moving.times)[order],
                 rank[moving.sweep[order]],
-                float(np.median(last - first)),
+                duration,
             ),
             _fill_view(self._cells, of_slot),
             _find_coverage(np.sort(stamps + first), np.sort(stamps + last)),
             find_step(static, count, total, stamps[::_PERIOD]),
+            0.0 if duration > 0 else period,
         )
 
     def _split_held(self) -> None:
