@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from packaging.requirements import Requirement
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,8 +23,9 @@ NAMES_OF_CONDA = {"opencv-python-headless": "py-opencv"}
 def test_the_conda_recipe_has_the_versions_and_dependencies_of_the_project() -> None:
     recipe = YAML(typ="safe").load((ROOT / "packaging/conda/recipe.yaml").read_text(encoding="utf-8"))
     assert recipe["context"]["version"] == PROJECT["version"]
-    needed = [re.fullmatch(r"([\w-]+)(.*)", one) for one in PROJECT["dependencies"]]
-    expected = {f"{NAMES_OF_CONDA.get(one[1], one[1])} {one[2]}" for one in needed if one}
+    needed = [Requirement(one) for one in PROJECT["dependencies"]]
+    bounds = {one.name: ",".join(sorted(map(str, one.specifier), reverse=True)) for one in needed}
+    expected = {f"{NAMES_OF_CONDA.get(name, name)} {bound}" for name, bound in bounds.items()}
     assert set(recipe["requirements"]["run"]) == {f"python {PROJECT['requires-python']}", *expected}
 
 
