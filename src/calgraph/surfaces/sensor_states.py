@@ -46,7 +46,10 @@ class SensorState:
     range_scale: float = 0.0
     """And relative to the distance."""
     timing: Array = field(default_factory=lambda: np.zeros(TIMING))
-    """(3,) as of :attr:`SensorPoints.timing`."""
+    """(3,) as of :attr:`SensorPoints.timing`. Stationary sensors have none of these errors: their first number is
+    the drift of the clock, as a share of time."""
+    mid_time: float = 0.0
+    """Of a stationary sensor, by its clock, s: when a clock that drifts has the offset."""
 
     def moved(self, step: Array) -> "SensorState":
         """The state after a step (n + d + 6,): pose along the root's axes, clock, bias, scale, and timing."""
@@ -57,6 +60,7 @@ class SensorState:
             self.range_bias + float(step[pose + 1]),
             self.range_scale + float(step[pose + 2]),
             self.timing + step[pose + 3 :],
+            self.mid_time,
         )
 
     def deviation_from(self, start: "SensorState") -> Array:
@@ -68,6 +72,10 @@ class SensorState:
     def date(self, measured: SensorPoints) -> Array:
         """(N,) times of points by the root's clock, s."""
         return np.asarray(measured.times + measured.timing @ self.timing - self.clock_offset)
+
+    def date_stationary(self, times: Array) -> Array:
+        """(N,) times by the root's clock, s, of times (N,) by the clock of a stationary sensor."""
+        return np.asarray(times - self.clock_offset - self.timing[0] * (times - self.mid_time))
 
     def correct(self, points: Array) -> Array:
         """Points (N, n) of the sensor without the errors of its ranges, m."""

@@ -31,6 +31,7 @@ def build_scene(
     scanner: float = 0.0,
     bias: float = 0.0,
     jump: float = 0.0,
+    drift: float = 0.0,
 ) -> Scene:
     """Sensors in corners of a hall.
 
@@ -42,6 +43,7 @@ def build_scene(
         scanner: height of a 2-D scanner, the last sensor, m; there is none if 0.
         bias: standard deviation of the range biases of sensors, m.
         jump: of the last sensor's clock in the middle, s.
+        drift: of the last sensor's clock, as a share of time.
     """
     rng = np.random.default_rng(seed)
     corners = np.array([[0.4, 0.5], [13.5, 9.4], [13.6, 0.6], [0.5, 9.5]])[:sensors]
@@ -52,7 +54,9 @@ def build_scene(
         if scanner and k == sensors - 1:
             level = so3.exp(np.array([0.0, 0.0, np.arctan2(T[1, 0], T[0, 0])]))
             T = se3.pose(level @ so3.exp(np.append(0.02 * rng.normal(size=2), 0.0)), np.append(corner, scanner))
-        truth.append(SensorState(T, 0.0 if k == 0 else rng.uniform(-0.05, 0.05), bias * rng.normal()))
+        offset = 0.0 if k == 0 else rng.uniform(-0.05, 0.05)
+        timing = np.array([drift * (k == sensors - 1), 0.0, 0.0])
+        truth.append(SensorState(T, offset, bias * rng.normal(), timing=timing, mid_time=duration / 2 + offset))
     times = np.arange(0.0, duration + 8.0, 6.0)
     paths = [CubicSpline(times, 2.0 + rng.uniform(size=(len(times), 2)) * (SIZE[:2] - 4.0)) for _ in range(people)]
     observations = []
@@ -91,6 +95,7 @@ def _track(
     measured *= 1 + state.range_bias / ranges
     stddev = np.full(len(times), 0.02)
     stamps = times + state.clock_offset + jump * (times > duration / 2)
+    stamps += state.timing[0] * (times - duration / 2)
     return BodyTrack(stamps, measured, stddev, stddev, np.zeros(len(times), dtype=np.intp))
 
 
@@ -125,8 +130,8 @@ def perturb(truth: list[SensorState], rng: np.random.Generator, metres: float = 
     return moved
 
 
-def prior_of(sensors: int, bias: float = 0.02, scale: float = 0.003) -> Array:
+def prior_of(sensors: int, bias: float = 0.02, scale: float = 0.003, drift: float = 3e-5) -> Array:
     """(S, 12) standard deviations of start values."""
-    stddev = np.tile([1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.1, bias, scale, *[0.0] * TIMING], (sensors, 1))
-    stddev[0, :7] = 0.0
+    stddev = np.tile([1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.1, bias, scale, drift, 0.0, 0.0], (sensors, 1))
+    stddev[0, :7] = stddev[0, -TIMING] = 0.0
     return stddev

@@ -33,6 +33,9 @@ def test_lidars_of_a_hall_are_calibrated_and_checked() -> None:
     calibration, found = compare_network_extrinsics(hall.rig, hall.recording, file, NetworkOptions())
     assert found.failed == ("lidar_3",)
     assert calibration.evidence.unconnected == {}
+    drifts = [(one.of, one.quantity, one.prior) for one in calibration.systematic]
+    assert drifts == [(name, "clock drift", 3e-5) for name in ("lidar_2", "lidar_3")]
+    assert all(abs(one.value) < 3 * one.stddev < 3e-4 for one in calibration.systematic)
     for k, sensor in enumerate(calibration.sensors[1:], start=1):
         block = slice(6 * k, 6 * k + 6)
         error = se3.difference(sensor.T_root_sensor, hall.truth.T_root_sensor[sensor.name])

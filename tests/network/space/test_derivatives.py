@@ -1,13 +1,22 @@
 """Derivatives by the states of sensors, against numerical ones."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from calgraph.geometry import Array
-from calgraph.network.space.persons import derive_places, gather_samples, place_samples
+from calgraph.geometry import Array, se3
+from calgraph.network.space.person_paths import SHAPE, SHARED_MEAN, BodyNoise, reduce_person
+from calgraph.network.space.persons import (
+    date_samples,
+    derive_places,
+    find_persons,
+    gather_samples,
+    place_samples,
+    point_outward,
+)
 from calgraph.network.space.static_surfaces import find_shared_surfaces, linearize_surfaces, thin_points
 from calgraph.surfaces.sensor_states import TIMING, SensorState
 from network.space.space_scenes import Scene, build_scene
@@ -43,6 +52,29 @@ def test_places_of_people(scene: Scene, sensor: int) -> None:
     # Derivatives by clocks are those of paths.
     compared = np.delete(np.arange(NUMBERS), 6)
     assert_allclose(by_state[of][..., compared], numerical[of][..., compared], atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [6, 9])
+def test_gradients_of_a_person_by_a_clock_and_its_drift(scene: Scene, number: int) -> None:
+    """Of one who walks on a circle, and is measured without errors: second derivatives do not count."""
+    states = [*scene.truth[:2], replace(scene.truth[2], timing=np.array([1e-3, 0.0, 0.0]))]
+    samples = find_persons(gather_samples(scene.observations), states, 0.5)[0]
+    angle = 0.5 * date_samples(samples, states)
+    walk = np.array([7.0, 5.0]) + 2.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    front = SHARED_MEAN[0] * point_outward(samples, states, walk)
+    world = np.column_stack([walk - front, np.full(len(walk), 1.35)])
+    inverse = np.array([se3.inverse(one.T_root_sensor) for one in states])[samples.sensor]
+    center = np.einsum("nij,nj->ni", inverse[:, :3, :3], world) + inverse[:, :3, 3]
+    samples, shape = replace(samples, center=center), np.where(np.arange(SHAPE), 0.0, SHARED_MEAN)
+    noise = BodyNoise(np.ones(2), np.full(2, 0.03))
+    step = np.zeros(NUMBERS)
+    step[number] = 1e-4
+    forth, back = (
+        reduce_person(samples, [*states[:2], states[2].moved(sign * step)], noise, shape).gradient
+        for sign in (1.0, -1.0)
+    )
+    column = reduce_person(samples, states, noise, shape).information[:, 2 * NUMBERS + number]
+    assert_allclose((forth - back) / 2e-4, column, atol=0.02 * np.abs(column).max())
 
 
 @pytest.mark.parametrize("sensor", [0, 1])

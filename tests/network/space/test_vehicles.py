@@ -118,6 +118,24 @@ def test_vehicles_correct_poses_and_clocks_with_the_covariance_that_they_state(s
     assert error @ driven.information @ error < 20
 
 
+@pytest.mark.parametrize("sensor", [0, 1])
+@pytest.mark.parametrize("number", [6, 9])
+def test_gradients_by_a_clock_and_its_drift(sensor: int, number: int) -> None:
+    """Of tracks without noise, so that second derivatives do not count."""
+    observed = list(_observe(np.random.default_rng(0), noise=0.0).values())
+    T = np.asarray(se2.to_se3(_T_A_B) @ _LEVEL)
+    states = [SensorState(_LEVEL, mid_time=10.0), SensorState(T, _CLOCK, mid_time=14.0)]
+    free = np.zeros((2, 12), dtype=np.bool_)
+    free[sensor, [5, number]] = True
+    pairs, step = find_vehicle_pairs(observed, states, 0.5), np.zeros(2)
+    step[1] = 1e-3
+    forth, back = (
+        reduce_vehicles(pairs, move_states(states, free, sign * step), free).gradient for sign in (1.0, -1.0)
+    )
+    exact = reduce_vehicles(pairs, states, free).information[:, 1]
+    np.testing.assert_allclose(((forth - back) / 2e-3)[1], exact[1], rtol=0.1)
+
+
 def _drive(duration: float, seed: int = 0) -> tuple[Array, Array]:
     """Times (T,) and x, y, yaw (T, 3) on a winding way of changing speed, which returns."""
     rng = np.random.default_rng(seed)
@@ -153,7 +171,7 @@ def _measure(times: Array, poses: Array, half: Array, rng: np.random.Generator) 
     return MovingPoints(se_n.apply(se_n.inverse(_LEVEL), every), times[index], index, 0.1)
 
 
-def _observe(rng: np.random.Generator, seed: int = 0) -> dict[str, SpaceObservations]:
+def _observe(rng: np.random.Generator, seed: int = 0, noise: float = 0.03) -> dict[str, SpaceObservations]:
     """Two sensors, of which each follows another point of each of two vehicles, for 8 s at a time."""
     to_b = se2.inverse(_T_A_B)
     sensors = {"a": (np.eye(3), 0.0), "b": (to_b, _CLOCK)}
@@ -165,7 +183,7 @@ def _observe(rng: np.random.Generator, seed: int = 0) -> dict[str, SpaceObservat
             for part in np.split(np.arange(0, len(times), 2), 4):
                 offset = rng.uniform(-0.4, 0.4, 2)
                 at = poses[part, :2] + np.einsum("nij,j->ni", _turn(poses[part, 2]), offset)
-                at = se2.apply(T, at) + rng.normal(0, 0.03, (len(part), 2))
+                at = se2.apply(T, at) + rng.normal(0, noise, (len(part), 2))
                 yaws = poses[part, 2] + float(np.arctan2(T[1, 0], T[0, 0]))
                 centers = np.column_stack([at, np.full(len(at), -2.2)])
                 stddev = np.full(len(part), 0.05)

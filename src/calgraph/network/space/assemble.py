@@ -23,11 +23,20 @@ from calgraph.network.space.on_floor import spread_floor
 from calgraph.network.space.start import SpaceStart
 from calgraph.network.space.static_surfaces import thin_points
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
-from calgraph.result import Calibration, Evidence, FitError, FloorView, Pictures, SensorPose, Verdict
+from calgraph.result import (
+    Calibration,
+    EstimatedParameter,
+    Evidence,
+    FitError,
+    FloorView,
+    Pictures,
+    SensorPose,
+    Verdict,
+)
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.solver.connected_parts import label_parts
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, expand_covariance
+from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState, expand_covariance
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
 _ADVICE = "let people walk farther and in more directions between {} and {}"
@@ -150,6 +159,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         root=reference,
         sensors=tuple(sensors),
         joint_covariance=covariance,
+        systematic=_list_drifts(names, solution) if solution else (),
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
@@ -245,6 +255,19 @@ def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Ar
     pose = numbers[:, :6].ravel()
     turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])
     return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, -BESIDE_POSE]])
+
+
+def _list_drifts(names: Sequence[str], solution: SpaceSolution) -> tuple[EstimatedParameter, ...]:
+    """Of the clocks that may drift."""
+    variances = np.diag(expand_covariance(solution.covariance, solution.free)).reshape(solution.free.shape)
+    rows = zip(names, solution.states, solution.prior[:, -TIMING], variances[:, -TIMING], strict=True)
+    return tuple(
+        EstimatedParameter(
+            name, "clock drift", "", 0.0, float(prior), float(state.timing[0]), float(variance**0.5)
+        )
+        for name, state, prior, variance in rows
+        if prior > 0
+    )
 
 
 def _project_poses(

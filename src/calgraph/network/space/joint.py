@@ -57,7 +57,8 @@ _START_VIEWS = (0.03, 0.05), (0.02, 0.05)
 _MIN_SCALE, _MIN_BODY_VIEW = 0.2, 0.003
 # Probability with which one change of a clock is found where there is none: some fifty are tested, and errors of
 # views last for longer than a period. Statistics are up to 10 in 17 halls without changes, 38 to 75 with jumps of
-# 43 to 74 ms, 18 and 46 with drifts of 49 and 40 ms; the limit is 26.
+# 43 to 74 ms, 19, 41 and 1600 with drifts of 0.2, 0.5 and 3 per mille, which are beyond the prior of clocks; the
+# limit is 26.
 _FALSE_ALARM = 0.01
 
 
@@ -67,7 +68,9 @@ class SpaceSolution:
 
     states: Sequence[SensorState]
     free: NDArray[np.bool_]
-    """(S, 12) which states are estimated."""
+    """(S, 12) which states are estimated,"""
+    prior: Array
+    """(S, 12) and how well they are known before."""
     covariance: Array
     """(P, P) of these."""
     with_ranges: Array
@@ -116,6 +119,8 @@ def solve_space(
         engine: evaluates persons; does not affect the result.
         progress: called with the fraction done.
     """
+    middle = float(observations[0].coverage[[0, -1], [0, 1]].mean())
+    states = [replace(one, mid_time=middle + one.clock_offset) for one in states]
     free, start = prior > 0, states
     count = int(free.sum())
     flat: NDArray[np.bool_] = np.array([one.flat for one in observations])
@@ -179,7 +184,7 @@ def solve_space(
         changes = find_changes(equations, free, ends, places - places[0], ("clock",), _FALSE_ALARM)
         begin = float(ends[0] - PERIOD)
     return SpaceSolution(
-        states, free, covariance, _condition_on_ranges(covariance, free),
+        states, free, prior, covariance, _condition_on_ranges(covariance, free),
         persons, vehicles, people, shared, noise, body,
         agreement=agreement,
         balance=balance,

@@ -2,14 +2,15 @@
 
 For the sample x of a person at time t, measured by sensor i along the horizontal unit vector e from it, n across,
 
-    radial      r = e · (x - c(t - o_i) - l h w) + a - a' cos 2φ + a" cos φ + s h + d ρ - b_r
-    tangential  r = n · (x - c(t - o_i) - l h w) - b_t
+    radial      r = e · (x - c(t') - l h w) + a - a' cos 2φ + a" cos φ + s h + d ρ - b_r
+    tangential  r = n · (x - c(t') - l h w) - b_t
 
-with the path c, a spline; the depth a of the axis behind the front, its changes a' and a" with the angle φ between
-view and walk w, s with the height h over the middle of the body, and d with the distance ρ; the lean l; and errors
-of shape b that are the same for all samples of a view: of one track, during a second. Errors of views are
-eliminated in closed form, then path and body of each person. Sums over a network are of the sensors that measured
-each person; score tests of what changes with time have a state of each sensor in each period.
+with the path c, a spline, at t' = t - o_i - δ_i (t - m_i) by a clock of drift δ_i, which has the offset o_i at
+m_i; the depth a of the axis behind the front, its changes a' and a" with the angle φ between view and walk w, s
+with the height h over the middle of the body, and d with the distance ρ; the lean l; and errors of shape b that
+are the same for all samples of a view: of one track, during a second. Errors of views are eliminated in closed
+form, then path and body of each person. Sums over a network are of the sensors that measured each person; score
+tests of what changes with time have a state of each sensor in each period.
 
 Sources: Harville, "Maximum likelihood approaches to variance component estimation", 1977, for the variances;
 Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
@@ -164,6 +165,8 @@ def reduce_person(
     error = (fit.residual[:, None] * rows.direction).reshape(2, -1, 2).sum(axis=0)
     by_state = derive_places(samples, states, measured - np.pad(error, ((0, 0), (0, 1))))
     by_state[:, :, -BESIDE_POSE] = velocity
+    mid_times = np.array([one.mid_time for one in states])
+    by_state[:, :, -TIMING] = velocity * (samples.time - mid_times[samples.sensor])[:, None]
     by_states = _arrange_derivatives(rows.direction, by_state, of_state, count)
     H, g, response = _eliminate(rows, fit, by_states, prior, mean)
     # Accelerations are relative to the size of the network: they would else make it smaller, by 0.05 % of halls.

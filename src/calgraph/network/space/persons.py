@@ -66,8 +66,11 @@ def gather_samples(observations: Sequence[SpaceObservations]) -> BodySamples:
 
 def date_samples(samples: BodySamples, states: Sequence[SensorState]) -> Array:
     """(N,) times of samples by the root's clock, s."""
-    clocks: Array = np.array([state.clock_offset for state in states])
-    return np.asarray(samples.time - clocks[samples.sensor])
+    times = np.zeros(len(samples.time))
+    for k, state in enumerate(states):
+        of = samples.sensor == k
+        times[of] = state.date_stationary(samples.time[of])
+    return times
 
 
 def place_samples(samples: BodySamples, states: Sequence[SensorState]) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.config import Cylinder, Lidar2dSpec, Lidar3dSpec, Rig
+from calgraph.config import Cylinder, Lidar2dSpec, Lidar2dUncertainty, Lidar3dSpec, Rig
 from calgraph.config.settings import TrackingSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
@@ -46,6 +46,8 @@ from calgraph.verdict.state_changes import describe_changes
 _MAX_TOGETHER, _BATCHES_PER_WORKER = 10, 4
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
+# Standard deviation of the drift of a LiDAR's clock: oscillators are those of 2-D scanners.
+_CLOCK_DRIFT = Lidar2dUncertainty().clock_drift
 
 
 def has_lidars(rig: Rig) -> bool:
@@ -267,13 +269,14 @@ def _locate(names: Sequence[str], solution: SpaceSolution) -> NetworkPoses:
 def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
     """(12,) of the start of a sensor, in the order of :meth:`SensorState.moved`; times of beams are stated."""
     stated = _scanning_spec(name, rig.sensors[name]).uncertainty
+    drift = stated.clock_drift if isinstance(stated, Lidar2dUncertainty) else _CLOCK_DRIFT
     pose = [*[_PLACE_STDDEV] * 3, *[_ROTATION_STDDEV] * 3, _CLOCK_STDDEV]
     if observed.flat:
         roll, pitch, height = np.sqrt(np.diag(observed.floor_covariance))
         pose[2:5] = height, roll, pitch
-    return np.array(
-        [*([0.0] * 7 if name == rig.root else pose), stated.range_bias, stated.range_scale, *[0.0] * TIMING]
-    )
+    if name == rig.root:
+        pose, drift = [0.0] * 7, 0.0
+    return np.array([*pose, stated.range_bias, stated.range_scale, drift, *[0.0] * (TIMING - 1)])
 
 
 def observe_clouds(

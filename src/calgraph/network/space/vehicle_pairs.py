@@ -3,11 +3,11 @@
 Each sensor follows some point of a vehicle. With c(t) of one sensor i at the heading (u, n) that it measured, and
 the point of another one j at the same time,
 
-    r = T_i c_i(t) + d u + d' n + l v - T_j c_j(t - o_i + o_j)
+    r = T_i c_i(t) + d u + d' n + l v - T_j c_j(t)
 
-where d and d', constant for a pair of tracks, are from one point to the other, and l is by how much registrations
-lag behind at the velocity v. They are eliminated. Vehicles that turn thus show poses, those that drive straight
-ahead do not.
+with times by the root's clock, where d and d', constant for a pair of tracks, are from one point to the other, and
+l is by how much registrations lag behind at the velocity v. They are eliminated. Vehicles that turn thus show
+poses, those that drive straight ahead do not.
 
 Source: Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989, for the weights.
 """
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import BodyTrack, SpaceObservations
-from calgraph.surfaces.sensor_states import BESIDE_POSE, SensorState, number_free
+from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState, number_free
 
 # Standard deviations of the offset of the points, m: half a width of a van, or half a length of a forklift; and of
 # the lag of registrations, s. Clocks of four simulated LiDARs were up to 21 ms off without it.
@@ -90,9 +90,8 @@ def find_vehicle_pairs(
                 assert first.yaws is not None
                 axis = np.column_stack([np.cos(first.yaws), np.sin(first.yaws), np.zeros(len(first.yaws))]) @ R
                 for b, second in enumerate(tracks[j]):
-                    later = states[j].clock_offset - states[i].clock_offset
-                    begin = max(first.times[0] + later, second.times[0])
-                    if min(first.times[-1] + later, second.times[-1]) - begin < _MIN_COMMON:
+                    own, other = states[i].date_stationary(first.times), states[j].date_stationary(second.times)
+                    if min(own[-1], other[-1]) - max(own[0], other[0]) < _MIN_COMMON:
                         continue
                     pair = VehiclePair((i, j), (first, second), axis)
                     compared = _compare(pair, states)
@@ -145,6 +144,8 @@ def reduce_vehicles(
         for sign, sensor, points in zip((1.0, -1.0), pair.sensors, one.points, strict=True):
             by_state = states[sensor].place(points)[1][:, :2]
             by_state[:, :, -BESIDE_POSE] = one.velocity
+            elapsed = one.times + states[sensor].clock_offset - states[sensor].mid_time
+            by_state[:, :, -TIMING] = one.velocity * elapsed[:, None]
             J[:, :, numbers[sensor][free[sensor]]] += sign * by_state[:, :, free[sensor]]
         label = np.unique(np.floor(one.times / _VIEW), return_inverse=True)[1].ravel()
         weight = (_FREEDOM + 2) / (_FREEDOM + np.sum(one.error**2, axis=1) / variance)
@@ -171,14 +172,14 @@ def reduce_vehicles(
 def _compare(pair: VehiclePair, states: Sequence[SensorState]) -> _Comparison | None:
     """Compares tracks under states; None where they have too little time in common."""
     (i, j), (a, b) = pair.sensors, pair.tracks
-    later = states[j].clock_offset - states[i].clock_offset
-    inside = (a.times + later >= b.times[0]) & (a.times + later <= b.times[-1])
-    if inside.sum() < 3 or np.ptp(a.times[inside]) < _MIN_COMMON:
+    times, dates = states[i].date_stationary(a.times), states[j].date_stationary(b.times)
+    inside = (times >= dates[0]) & (times <= dates[-1])
+    times = times[inside]
+    if len(times) < 3 or np.ptp(times) < _MIN_COMMON:
         return None
-    times = a.times[inside]
-    other = np.column_stack([np.interp(times + later, b.times, column) for column in b.centers.T])
-    rates = np.gradient(b.centers, b.times, axis=0)
-    rate = np.column_stack([np.interp(times + later, b.times, column) for column in rates.T])
+    other = np.column_stack([np.interp(times, dates, column) for column in b.centers.T])
+    rates = np.gradient(b.centers, dates, axis=0)
+    rate = np.column_stack([np.interp(times, dates, column) for column in rates.T])
     at, there = states[i].place(a.centers[inside])[0], states[j].place(other)[0]
     u = (pair.axis[inside] @ states[i].T_root_sensor[:3, :3].T)[:, :2]
     velocity = (rate @ states[j].T_root_sensor[:3, :3].T)[:, :2]
@@ -195,4 +196,4 @@ def _compare(pair: VehiclePair, states: Sequence[SensorState]) -> _Comparison | 
         weight = 1 / (1 + squared / max(float(np.median(squared)), 1e-6))
     moved = at + np.pad(D[:, :, :2] @ offset[:2], ((0, 0), (0, 1)))
     first = se_n.apply(se_n.inverse(states[i].T_root_sensor), moved)
-    return _Comparison(times - states[i].clock_offset, error, D, offset, (first, other), velocity)
+    return _Comparison(times, error, D, offset, (first, other), velocity)
