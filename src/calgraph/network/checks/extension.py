@@ -122,7 +122,7 @@ def merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: Sc
     if prior is None:
         why = "; ".join(f"{name}: {reason}" for name, reason in calibration.evidence.unconnected.items())
         raise CalibrationError(
-            f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
+            f"nothing to extend with: no sensor is connected to the root {calibration.root} ({why})"
         )
     return merge_calibrations(calibration, earlier, prior)
 
