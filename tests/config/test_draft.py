@@ -50,6 +50,14 @@ def test_the_root_is_the_3d_lidar(tmp_path: Path) -> None:
     assert drafted(tmp_path, image("/a/image_raw"), scan("/b/scan"), cloud("/c/points")).root == "c"
 
 
+def test_the_root_of_a_network_may_be_any_of_its_sensors_or_the_floor() -> None:
+    topics = (scan("/b/scan"), cloud("/c/points"), cloud("/d/points"), image("/a/image_raw"))
+    text = draft_rig(topics, "bag", network="3-D LiDARs are at rest")
+    assert "could be d, b, floor.\nroot: c\n" in text
+    assert "the height, roll and pitch of a 2-D scanner" in text
+    assert "2-D scanner" not in draft_rig(topics[1:], "bag", network="3-D LiDARs are at rest")
+
+
 def test_without_a_3d_lidar_the_root_is_the_first_sensor(tmp_path: Path) -> None:
     assert drafted(tmp_path, scan("/b/scan"), scan("/c/scan")).root == "b"
 

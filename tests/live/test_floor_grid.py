@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.live.floor_grid import _MAX_CELLS, Cells, FloorGrid, build_floor_grid
+from calgraph.live.floor_grid import _MAX_CELLS, Cells, FloorGrid, build_floor_grid, is_helped_by_walks
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.result import Calibration, Evidence, FloorView, Pictures, SensorPose, Verdict
 
@@ -41,10 +41,21 @@ def scanner(name: str, *lines: tuple[tuple[float, float], tuple[float, float]]) 
 
 
 def build(
-    tracked: dict[str, ScannerTracks | Rejected], unfinished: Collection[str] = (), *, connected: int = 2
+    tracked: dict[str, ScannerTracks | Rejected],
+    unfinished: Collection[str] = (),
+    *,
+    connected: int = 2,
+    reason: str = "",
 ) -> FloorGrid | None:
     sensors = tuple(
-        SensorPose(name, None, name, "lidar2d", se2.to_se3(T), Verdict("weak" if name in unfinished else "good"))
+        SensorPose(
+            name,
+            None,
+            name,
+            "lidar2d",
+            se2.to_se3(T),
+            Verdict("weak", reason) if name in unfinished else Verdict("good"),
+        )
         for name, T in list(POSES.items())[:connected]
     )
     apart = {name: found.reason for name, found in tracked.items() if isinstance(found, Rejected)}
@@ -70,6 +81,23 @@ def draw(name: str, found: ScannerTracks | Rejected) -> FloorView:
 def at(grid: FloorGrid, cells: Cells, x: float, y: float) -> bool:
     column, row = ((np.array([x, y]) - grid.origin) / grid.cell).astype(int)
     return bool(cells[column, row])
+
+
+@pytest.mark.parametrize(
+    ("reason", "helped"),
+    [
+        ("", True),
+        ("the joint solution has not converged", True),
+        ("x ±20 mm exceeds the tolerance; the largest source of it: walks (90 %); let people walk farther", True),
+        ("x ±20 mm exceeds the tolerance; the largest source of it: range errors (90 %); measure ranges", False),
+    ],
+)
+def test_people_are_to_walk_where_that_helps(reason: str, helped: bool) -> None:
+    assert is_helped_by_walks(reason) == helped
+    tracked: dict[str, ScannerTracks | Rejected] = {"left": scanner("left", LINE), "right": scanner("right", LINE)}
+    grid = build(tracked, ("right",), reason=reason)
+    assert grid is not None
+    assert grid.wanted.any() == helped
 
 
 LINE = ((3.0, 2.0), (7.0, 2.0))

@@ -277,7 +277,7 @@ def network() -> Calibration:
     rows = (
         CaptureRow(0, 0.0, 4.0, "hall", True, "", 0.021),
         CaptureRow(1, 0.5, 4.5, "door <b>", True, "", 0.021),
-        CaptureRow(2, 2.0, 3.0, "hall", False, "no other scanner detected a person at that time"),
+        CaptureRow(2, 2.0, 3.0, "hall", False, "no other sensor detected a person at that time"),
     )
     wall, walk = np.linspace([0, -1], [8, -1], 50), np.linspace([2, 0], [2, 5], 40)
     floor = (FloorView("hall", wall, (walk, walk + 0.1)), FloorView("door <b>", wall, (walk,)))

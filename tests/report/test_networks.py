@@ -127,7 +127,7 @@ def test_walks_are_drawn_at_their_times(html: str) -> None:
     used, unused = figure_of(html, "captures")["data"]
     assert used["x"] == [0, 4, None, 0.5, 4.5, None]
     assert unused["x"] == [2, 3, None]
-    assert unused["text"][0].endswith("2.0 – 3.0 s<br>no other scanner detected a person at that time")
+    assert unused["text"][0].endswith("2.0 – 3.0 s<br>no other sensor detected a person at that time")
 
 
 def test_simultaneous_walks_have_separate_lanes(html: str) -> None:

@@ -1,4 +1,4 @@
-"""The page of a network in space: plan and 3-D view are level though the root is not, and words are of LiDARs."""
+"""The page of a network in space: plan and 3-D view are level though the root is not, and words are of sensors."""
 
 import json
 import re
@@ -78,14 +78,14 @@ def test_the_view_in_space_is_level_and_without_the_ceiling(html: str) -> None:
     assert all(everything["visible"])
 
 
-def test_words_are_of_lidars_and_walks(html: str) -> None:
+def test_words_are_of_sensors_and_walks(html: str) -> None:
     text = re.sub(r"<(script|style).*?</\1>", " ", html, flags=re.DOTALL)
     text = re.sub(r'(id|for|class|href|data-for)="[^"]*"', "", text).lower()
     for word in ("board", "capture", "2-d", "scan plane", "beams on people"):
         assert word not in text, word
     assert "<h2>floor plan</h2>" in text
     assert "<h2>3-d view</h2>" in text
-    assert "a line is one track of one lidar" in text
+    assert "a line is one track of one sensor" in text
 
 
 def test_coverage_is_by_elevation_in_the_frame_of_the_sensor() -> None:

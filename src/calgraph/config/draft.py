@@ -102,14 +102,15 @@ def draft_rig(
             f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
         )
     board = not (drive or network)
+    # Of a network, the first is a LiDAR, which measures the floor.
+    roots = [one.name for one in sensors if not network or one.topic.kind in ("lidar3d", "lidar2d")]
     recorded = [topic.name for one in sensors for topic in (one.topic, one.info) if topic and board]
     has_ros_topics = any("/" in one.topic.type for one in sensors)
     return _load_template().render(
         recording=recording,
         board=board,
         recorded=" ".join(shlex.quote(_single_line(name)) for name in recorded if has_ros_topics),
-        # The root of a network measures the floor.
-        roots=[one for one in sensors if one.topic.kind == "lidar3d"] if network else sensors,
+        roots=[*roots, "floor"] if network else roots,
         drive=drive,
         network=network,
         target=target,

@@ -210,7 +210,7 @@ class Rig(StrictModel):
 
     @property
     def reference(self) -> str:
-        """The sensor that others are solved against: the root, or the first 3-D LiDAR where that is the floor."""
+        """The sensor that others are relative to: the root, or the first 3-D LiDAR where that is the floor."""
         lidars = (name for name, spec in self.sensors.items() if isinstance(spec, Lidar3dSpec))
         return next(lidars, self.root) if self.is_on_floor else self.root
 

@@ -11,6 +11,8 @@ from scipy.ndimage import label, uniform_filter
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs.visibility_map import BACKGROUND_MARGIN, MAX_BEAM_GAP, MIN_RANGE, RANGE_TAIL
 from calgraph.result import Calibration, FloorView
+from calgraph.result.finding import split_clauses
+from calgraph.verdict.grades import names_sources
 
 Cells = NDArray[np.bool_]
 
@@ -26,7 +28,7 @@ class FloorGrid:
     walked: Cells
     """(X, Y) where people walked."""
     wanted: Cells
-    """(X, Y) where they should still walk, in views that scanners which are not within tolerance share
+    """(X, Y) where they should still walk, in views that scanners which walks bring nearer to the tolerance share
     with others."""
     walls: Array
     """(W, 2) points of the static background, m."""
@@ -59,7 +61,8 @@ def build_floor_grid(calibration: Calibration) -> FloorGrid | None:
         view.sensor: _find_observed_cells(T, view, x.reshape(-1, 2)).reshape(shape)
         for T, view in zip(poses, views, strict=True)
     }
-    unfinished = [name for name in observed if calibration[name].verdict.grade != "good"]
+    verdicts = {name: calibration[name].verdict for name in observed}
+    unfinished = [name for name, one in verdicts.items() if one.grade != "good" and is_helped_by_walks(one.reason)]
     return FloorGrid(
         low,
         cell,
@@ -67,6 +70,12 @@ def build_floor_grid(calibration: Calibration) -> FloorGrid | None:
         _select_wanted(observed, unfinished, seconds, cell, unconnected=bool(calibration.evidence.unconnected)),
         _thin(walls, cell / 2, _MAX_WALL_POINTS),
     )
+
+
+def is_helped_by_walks(reason: str) -> bool:
+    """Whether the reason of a verdict advises to have people walk, or names no source of the errors."""
+    clauses = split_clauses(reason)
+    return not any(map(names_sources, clauses)) or "people w" in clauses[-1]
 
 
 def _place_on_plan(calibration: Calibration, name: str) -> Array:

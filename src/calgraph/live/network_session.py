@@ -7,6 +7,7 @@ from functools import cached_property
 from calgraph.config.settings import LiveNetworkSettings
 from calgraph.errors import Rejected
 from calgraph.live.capture_finder import name_sensors
+from calgraph.live.floor_grid import is_helped_by_walks
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.live.recorded_session import PAUSE, RecordedSession
@@ -141,9 +142,8 @@ def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) ->
 
 
 def _is_helped_by_walks(weak: Sequence[SensorSolution]) -> bool:
-    """Whether one beyond the tolerance is advised to have people walk, or no source of its errors is known."""
-    clauses = [split_clauses(one.reason) for one in weak if one.uncertainty > 1]
-    return any("people w" in one[-1] or not any(map(names_sources, one)) for one in clauses)
+    """Whether walks help one that is beyond the tolerance."""
+    return any(is_helped_by_walks(one.reason) for one in weak if one.uncertainty > 1)
 
 
 def _format_minutes(minutes: float) -> str:

@@ -174,7 +174,7 @@ def _solve_jointly(
     poses = extract_earlier_poses(earlier, rig.root)
     covariance = complete_covariance(joint.pose_covariance)
     found = NetworkPoses(tuple(names), joint.T_root_scanner, covariance)
-    prior = build_consistent_prior(poses, found, rig.settings.diagnostics)
+    prior = build_consistent_prior(poses, found, rig.root, rig.settings.diagnostics)
     return solution(prior=prior).scale_covariance(1 / EARLIER_WEIGHT, SHARED), prior
 
 
@@ -202,7 +202,7 @@ def _assess_and_assemble(
         )
         joint, contradictions = assessment.joint, assessment.findings
     start = _first_time(corrected.tracked) if start is None else start
-    of_poses = collect_network_findings(tracks, initialization, start)
+    of_poses = collect_network_findings(rig.root, tracks, initialization, start)
     return assemble_network(
         rig,
         {name: frames.get(name, "") for name in rig.sensors},

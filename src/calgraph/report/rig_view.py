@@ -158,7 +158,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
         "scene": _make_scene(calibration, size, eye),
     }
-    labels = ("the LiDARs", "with walls and walks") if rig.is_network else ("the rig", "with the boards")
+    labels = ("the sensors", "with walls and walks") if rig.is_network else ("the rig", "with the boards")
     view = _view_buttons(calibration, size, (len(of_rig), len(around)), labels)
     choosers, caption = [Chooser("What to show", view, int(rig.is_network))], ""
     if sensors:

@@ -132,24 +132,25 @@ double-click to reset, click in the legend to hide a scanner.""",
 
 SPACE_VOCABULARY = replace(
     NETWORK_VOCABULARY,
-    no_items=NETWORK_VOCABULARY.no_items.replace("scanner", "LiDAR"),
-    items_caption=("A line is one track of one LiDAR. Hover over its ends for its time and outcome.", ""),
-    no_pairs=NETWORK_VOCABULARY.no_pairs.replace("scanner", "LiDAR"),
-    graph_caption=NETWORK_VOCABULARY.graph_caption.replace("scanner", "LiDAR"),
+    no_items=NETWORK_VOCABULARY.no_items.replace("scanner", "sensor"),
+    items_caption=("A line is one track of one sensor. Hover over its ends for its time and outcome.", ""),
+    no_pairs=NETWORK_VOCABULARY.no_pairs.replace("scanner", "sensor"),
+    graph_caption=NETWORK_VOCABULARY.graph_caption.replace("scanner", "sensor"),
     fit={"lidar3d": "distance from walls and floors", "lidar2d": "distance from walls"},
-    residuals_caption=NETWORK_VOCABULARY.residuals_caption.replace("scanner", "LiDAR"),
+    residuals_caption=NETWORK_VOCABULARY.residuals_caption.replace("scanner", "sensor"),
     distances_caption="""\
-RMS distance of each LiDAR's tracks from the other LiDARs' tracks of the same person, under the final poses. Boxes
-hold half of the walks; dots are outliers. These are no errors of poses: each LiDAR measures the side of a person
-that faces it. The joint solution estimates the shape of the body between them.""",
+RMS distance of each sensor's tracks from the other sensors' tracks of the same person, under the final poses.
+Boxes hold half of the walks; dots are outliers. These are no errors of poses: each sensor measures the side of a
+person that faces it. The joint solution estimates the shape of the body between them.""",
     coverage_caption="""\
 Coverage of each field of view by people; darker cells have more walks. Directions are those of the middle of their
-bodies in the LiDAR's frame.""",
+bodies in the sensor's frame.""",
     view_caption="""\
-Measurements of all LiDARs from above: points are walls, lines are tracks. Walls or tracks of two colours that do
-not coincide indicate a wrong pose. The frame is that of the root, levelled, with its origin on the floor below
-it. Arrows are the LiDARs' x axes. Drag to zoom, double-click to reset, click in the legend to hide a LiDAR.""",
-    advice={grade: text.replace("scanner", "LiDAR") for grade, text in NETWORK_VOCABULARY.advice.items()},
+Measurements of all sensors from above: points are walls, lines are tracks. Walls or tracks of two colours that do
+not coincide indicate a wrong pose. The frame is level, with its origin on the floor below a 3-D LiDAR: the root,
+if that is one. Arrows are the sensors' x axes. Drag to zoom, double-click to reset, click in the legend to hide a
+sensor.""",
+    advice={grade: text.replace("scanner", "sensor") for grade, text in NETWORK_VOCABULARY.advice.items()},
 )
 """Of networks with 3-D LiDARs."""
 

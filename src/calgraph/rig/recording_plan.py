@@ -6,9 +6,9 @@ covariance includes what that of a calibration includes: the usual bias of views
 exclude.
 """
 
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
 from typing import Literal
 
@@ -39,6 +39,7 @@ from calgraph.sensors import CameraModel
 from calgraph.sensors.beam_pattern import BeamPattern
 from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import max_good_stddev
+from calgraph.verdict.remedy_choice import choose_amount
 
 Detections = Mapping[str, Mapping[int, tuple[Detection, ...]]]
 """By sensor and board."""
@@ -79,7 +80,8 @@ class RecordingPlan:
     max_stddev: Array
     """(6,) standard deviations (m, rad) up to which errors are within the tolerance."""
     needed: int | None
-    """Captures with which all sensors are within the tolerance that ever are; None if 500 do not suffice."""
+    """Captures with which all sensors are within the tolerance that ever are, with a reserve if that is possible
+    (:func:`choose_amount`); None if 500 do not suffice."""
     places: tuple[Suggestion, ...]
     """Where to hold the board, the most informative place first, each in addition to those before."""
     limit_budget: ErrorBudget
@@ -123,12 +125,15 @@ def plan_captures(
 
     excess = _measure_excess(boards, captures, rng) if rng else 0.0
 
+    @cache
     def predict(count: int) -> Array:
         return (1 + excess * captures / count) * _predict_stddev(_scale_captures(boards, count), rig)
 
     stddev, least = predict(captures), predict(_UNLIMITED)
     possible = (least <= limits).all(axis=1)
-    first = bisect_left(_COUNTS, True, key=lambda count: bool((predict(count)[possible] <= limits).all()))
+    needed = choose_amount(
+        _COUNTS, lambda count: float(np.max(predict(count)[possible] / limits, initial=0.0)), None
+    )
     bundle, kinds = boards.bundle, {name: spec.kind for name, spec in rig.sensors.items()}
     known = list(information_by_board(bundle, boards.minimized.equations))
     places = select_board_poses(
@@ -142,7 +147,6 @@ def plan_captures(
         for i, name in enumerate(bundle.sensors)
         if i
     )
-    needed = _COUNTS[first] if first < len(_COUNTS) else None
     unlimited = _scale_captures(boards, _UNLIMITED)
     published, drifts = _publish(unlimited, rig)
     # Information of views is scaled: biases of as many views average, too.

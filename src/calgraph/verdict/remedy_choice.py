@@ -32,6 +32,8 @@ class Measure(Protocol):
 
 
 M = TypeVar("M", bound=Measure)
+T = TypeVar("T")
+D = TypeVar("D")
 
 
 def choose_axis(before: Array, after: Array, limits: Array) -> int:
@@ -46,12 +48,12 @@ def choose_axis(before: Array, after: Array, limits: Array) -> int:
     return axis if after[axis] > limits[axis] or np.all(after <= limits) else int(np.argmax(after / limits))
 
 
-def choose_amount(amounts: Sequence[M], excess: Callable[[M], float], otherwise: M) -> M:
+def choose_amount(amounts: Sequence[T], excess: Callable[[T], float], otherwise: D) -> T | D:
     """Of amounts of further data, ascending, the least that suffices with a reserve, or else without one.
 
     Args:
         amounts: to choose from.
-        excess: the worst standard deviation after a measure over its limit.
+        excess: the worst standard deviation after an amount over its limit.
         otherwise: where none suffices.
     """
     return next((one for most in (_PROMISED_SHARE, 1) for one in amounts if excess(one) <= most), otherwise)

@@ -222,3 +222,12 @@ def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> N
     assert explain_unconnected("cellar", "west", tracked, pairs) == (
         "has 1 track, but west: by chance; s0, s1, s2, s3, s4, s5, s6, s7 and 12 others: only 0.0 s"
     )
+
+
+def test_a_sensor_that_measured_vehicles_only_has_no_number_of_tracks() -> None:
+    """Those without tracks of people and vehicles are rejected before."""
+    driven = replace(build_tracks(0), tracks=())
+    pairs: ScannerPairs = {("west", "hall"): Rejected("too few")}
+    assert explain_unconnected("hall", "west", {"west": build_tracks(1), "hall": driven}, pairs) == (
+        "measured vehicles, but no person; west: too few"
+    )

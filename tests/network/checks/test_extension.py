@@ -182,7 +182,7 @@ def known_to_millimetres(rng: np.random.Generator) -> NetworkPoses:
 
 def test_a_recording_that_agrees_gives_the_earlier_poses_as_a_prior(rng: np.random.Generator) -> None:
     earlier = known_to_millimetres(rng)
-    prior = build_consistent_prior(earlier, earlier.select(("a", "b", "c")), SETTINGS)
+    prior = build_consistent_prior(earlier, earlier.select(("a", "b", "c")), "a", SETTINGS)
     np.testing.assert_array_equal(prior.T_root_scanner, earlier.T_root_scanner[1:3])
 
 
@@ -195,7 +195,7 @@ def test_moved_scanners_are_named_with_advice(moved: int, advice: str, rng: np.r
     T[moved, :2, 2] += [0.03, 0.04]
     found = replace(earlier, T_root_scanner=se2.inverse(T[0]) @ T)
     with pytest.raises(CalibrationError, match=rf"{earlier.names[moved]} has moved by 50\.0 mm .*{advice}"):
-        build_consistent_prior(earlier, found, SETTINGS)
+        build_consistent_prior(earlier, found, "a", SETTINGS)
 
 
 def test_edges_of_removed_scanners_are_removed() -> None:

@@ -34,7 +34,7 @@ def find(shares: dict[tuple[int, int], float]) -> list[Finding]:
 def test_a_part_behind_one_poor_pair_is_named() -> None:
     (found,) = find({(0, 1): 0.9, (1, 2): 0.37, (2, 3): 0.9})
     assert found.sensors == ("c", "d")
-    assert found.text.startswith("only the pair b and c connects c, d to the root, and they agree on 37 %")
+    assert found.text.startswith("only the pair b and c connects c, d to a, and they agree on 37 %")
 
 
 def test_a_pair_in_a_cycle_is_checked_by_the_others() -> None:

@@ -84,7 +84,7 @@ def test_a_walk_of_one_scanner_is_rejected_with_a_reason(samples: dict[str, Trac
     rows = rows_of("west", samples, ("west", "east"))
     assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
         (False, "other scanners detected people at that time, but not within 0.5 m of it", None),
-        (False, "no other scanner detected a person at that time", None),
+        (False, "no other sensor detected a person at that time", None),
     ]
 
 

@@ -65,11 +65,11 @@ def test_errors_of_kept_and_estimated_lidars_are_correlated() -> None:
 
 def test_a_lidar_that_moved_is_named(rng: np.random.Generator) -> None:
     earlier = replace(random_poses(rng), covariance=np.diag([0.0] * 6 + 18 * [1e-6]))
-    assert build_consistent_prior(earlier, earlier, SETTINGS).nodes.tolist() == [1, 2, 3]
+    assert build_consistent_prior(earlier, earlier, "a", SETTINGS).nodes.tolist() == [1, 2, 3]
     T = earlier.T_root_scanner.copy()
     T[2, :3, 3] += [0.03, 0.0, 0.04]
     with pytest.raises(CalibrationError, match=r"c has moved by 50\.0 mm .*give `moved`: c"):
-        build_consistent_prior(earlier, replace(earlier, T_root_scanner=T), SETTINGS)
+        build_consistent_prior(earlier, replace(earlier, T_root_scanner=T), "a", SETTINGS)
 
 
 def test_a_planar_calibration_is_refused() -> None:

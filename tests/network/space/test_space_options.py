@@ -20,11 +20,6 @@ def rig_of(*others: str, target: dict[str, Any] | None = None) -> Rig:
     ("rig", "options", "message"),
     [
         (
-            rig_of("lidar2d").model_copy(update={"root": "sensor_2"}),
-            NetworkOptions(),
-            r"root: must be a 3-D LiDAR, .*, got sensor_2",
-        ),
-        (
             rig_of(target={"kind": "cylinder", "diameter": 0.4}),
             NetworkOptions(),
             r"target\.kind: must be people for a network of 3-D LiDARs, got cylinder",

@@ -283,7 +283,9 @@ def explain_unconnected(
     )
     reasons = "; ".join([*stated, *more])
     count = len(tracks.tracks)
-    return f"has {count} track{'s' * (count != 1)}, but {reasons or 'no other scanner has any'}"
+    if not count:
+        return f"measured vehicles, but no person; {reasons or 'no other sensor has any'}"
+    return f"has {count} track{'s' * (count != 1)}, but {reasons or 'no other sensor has any'}"
 
 
 def _list_partners(names: Sequence[str]) -> str:
@@ -463,7 +465,7 @@ def _assess_walk(
             f"other scanners detected people at that time, but not within {MAX_DISTANCE:g} m of it",
             None,
         )
-    return False, "no other scanner detected a person at that time", None
+    return False, "no other sensor detected a person at that time", None
 
 
 def _split_walks(samples: TrackSamples) -> Iterator[NDArray[np.intp]]:

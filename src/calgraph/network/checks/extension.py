@@ -82,13 +82,14 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
 
 
 def build_consistent_prior(
-    earlier: NetworkPoses, found: NetworkPoses, settings: DiagnosticsSettings
+    earlier: NetworkPoses, found: NetworkPoses, root: str, settings: DiagnosticsSettings
 ) -> ScannerPrior:
     """The prior of earlier poses, provided that the recording alone does not contradict them.
 
     Args:
         earlier: the earlier poses.
-        found: the poses of the scanners of the recording, from it alone.
+        found: the poses of the scanners of the recording, from it alone, in the same frame.
+        root: that of the result, which may have another frame.
         settings: of the test.
 
     Raises:
@@ -102,7 +103,7 @@ def build_consistent_prior(
         displacements = "; ".join(f"{one.name} has moved by {one}" for one in moved)
         advice = (
             "its root has moved: calibrate the network again"
-            if names[0] in moved_names
+            if root in moved_names
             else f"to estimate their poses again and keep the others, give `moved`: {', '.join(moved_names)}"
         )
         raise CalibrationError(
@@ -121,7 +122,7 @@ def merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: Sc
     if prior is None:
         why = "; ".join(f"{name}: {reason}" for name, reason in calibration.evidence.unconnected.items())
         raise CalibrationError(
-            f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
+            f"nothing to extend with: no sensor is connected to the root {calibration.root} ({why})"
         )
     return merge_calibrations(calibration, earlier, prior)
 

@@ -18,24 +18,25 @@ _MIN_MATCHED_SHARE = 0.5
 
 
 def collect_network_findings(
-    tracks: Mapping[str, ScannerTracks | Rejected], initialization: NetworkInitialization, start: float
+    root: str, tracks: Mapping[str, ScannerTracks | Rejected], initialization: NetworkInitialization, start: float
 ) -> Sequence[Finding]:
     """Scanners that were bumped, or may be elsewhere, or rest on a pair that disagrees about most positions.
 
     Args:
+        root: name of the root of the result.
         tracks: of each scanner, or why it has none.
         initialization: averaged poses of the connected scanners.
         start: of the recording, s.
     """
     return (
-        *describe_bumps(initialization.names[0], tracks, start),
+        *describe_bumps(root, tracks, start),
         *_describe_ambiguous_parts(initialization.names, initialization.ambiguous),
         *find_poorly_supported_parts(initialization),
     )
 
 
 def find_poorly_supported_parts(initialization: NetworkInitialization) -> list[Finding]:
-    """Finds parts of a network that one pair alone connects to the root, and in which few positions match.
+    """Finds parts of a network that one pair alone connects to the first, and in which few positions match.
 
     No cycle checks such a pair. Where both scanners detect people at most times, but at other places, the pair may
     match the wrong people, or reflections of people in a mirror.
@@ -62,7 +63,7 @@ def find_poorly_supported_parts(initialization: NetworkInitialization) -> list[F
         scanners = tuple(names[node] for node in np.flatnonzero(part).tolist())
         findings.append(
             Finding(
-                f"only the pair {names[i]} and {names[j]} connects {', '.join(scanners)} to the root, and they "
+                f"only the pair {names[i]} and {names[j]} connects {', '.join(scanners)} to {names[0]}, and they "
                 f"agree on {100 * nearest.matched_share:.0f} % of the positions that both should measure: they "
                 "may have matched different people, or reflections; let people walk where others measure them",
                 scanners,

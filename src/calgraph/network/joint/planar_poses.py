@@ -46,6 +46,22 @@ class NetworkPoses:
         T = self.T_root_scanner[rows[:: self.size] // self.size]
         return NetworkPoses(tuple(names), T, self.covariance[np.ix_(rows, rows)])
 
+    def place(self, name: str, T_frame_root: Array, covariance: Array) -> "NetworkPoses":
+        """In another frame, which becomes the first and the root, with the pose of the present root in it.
+
+        Args:
+            name: of the frame.
+            T_frame_root: of the present root.
+            covariance: (d, d) of the error of that, by which all move together.
+        """
+        T = T_frame_root @ self.T_root_scanner
+        turned = np.kron(np.eye(len(T)), se_n.rotation_adjoint(se_n.rotation(T_frame_root)))
+        n, moved = T.shape[-1] - 1, np.tile(np.eye(self.size), (len(T), 1, 1))
+        moved[:, :n, n:] = se_n.rotation_jacobian(se_n.translation(T) - se_n.translation(T_frame_root))
+        by_root = moved.reshape(-1, self.size)
+        joint = turned @ self.covariance @ turned.T + by_root @ covariance @ by_root.T
+        return NetworkPoses((name, *self.names), np.stack([np.eye(n + 1), *T]), np.pad(joint, (self.size, 0)))
+
     def change_root(self, name: str) -> "NetworkPoses":
         """The same poses in the frame of another scanner, which becomes the first and the root."""
         reordered = self.select([name, *(other for other in self.names if other != name)])

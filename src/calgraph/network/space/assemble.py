@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.config import Lidar2dSpec, Rig
+from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2, se3
 from calgraph.network.checks.assemble import (
@@ -16,10 +16,11 @@ from calgraph.network.checks.assemble import (
     find_parents,
     match_across_scanners,
 )
+from calgraph.network.joint.planar_poses import NetworkPoses
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
-from calgraph.network.space.joint import SpaceSolution
+from calgraph.network.space.joint import SpaceSolution, condition_on
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.on_floor import spread_floor
+from calgraph.network.space.roots import spread_floor
 from calgraph.network.space.start import SpaceStart
 from calgraph.network.space.static_surfaces import thin_points
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
@@ -36,7 +37,14 @@ from calgraph.result import (
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.solver.connected_parts import label_parts
-from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState, expand_covariance
+from calgraph.surfaces.sensor_states import (
+    BESIDE_POSE,
+    TIMING,
+    SensorState,
+    expand_covariance,
+    measure_deviations,
+    number_free,
+)
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
 _ADVICE = "let people walk farther and in more directions between {} and {}"
@@ -45,9 +53,10 @@ _RANGE_ADVICE = (
     "(uncertainty: range_scale, range_bias)"
 )
 _LEVEL_ADVICE = (
-    "the walls and people that a 2-D scanner measures do not show its height, roll and pitch: measure these, and "
+    "the walls and people that {} measures do not show its height, roll and pitch: measure these, and "
     "state them in rig.yaml (height, roll, pitch, and uncertainty: tilt)"
 )
+_ROOT_ADVICE = ", or let a 3-D LiDAR be the root"
 _WALK_IN = "let people walk from its view into those of its neighbours, with turns"
 _FLOOR_ADVICE = (
     "let more of the floor be in the view of {}, and state the biases of its ranges (uncertainty: range_bias, "
@@ -56,6 +65,7 @@ _FLOOR_ADVICE = (
 # Sources of uncertainty, of which the largest in the most uncertain axis is what to improve. That of height and
 # tilt of a 2-D scanner is what is stated.
 _RANGES, _FLOOR, _REST, _STATED = "range errors", "the floor", "walks and surfaces", "stated height and tilt"
+_OF_ROOT = f"{_STATED} of the root"
 # Squared last step of the joint solution, in standard deviations, up to which it has converged.
 _MAX_SQUARED_STEP = 0.1
 # Walls on which two maps agree, less the others, and that over both, below which nothing but people shows that a
@@ -80,69 +90,49 @@ class SpaceResult:
     begin: float
     """Of the recording, s."""
     solution: SpaceSolution | None
-    """Of the sensors with a start, in its order; None if that is the root only."""
+    """Of the sensors with a start, in its order; None if nothing is connected to the root."""
     findings: Sequence[Finding]
 
 
 def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
-    """The calibration of a network in space: rooted at a sensor, with poses graded against the root of the rig."""
-    solution, start, reference = result.solution, result.start, rig.reference
-    names = list(start.states) if solution else [reference]
-    states = solution.states if solution else [start.states.get(reference, SensorState(np.eye(4)))]
-    T_root_world = se3.inverse(states[0].T_root_sensor)
-    covariance, clocks = np.zeros((6, 6)), np.zeros(1)
+    """The calibration of a network in space, in the frame of its first sensor; that of the root if it is alone.
+
+    Grades and clocks are relative to the root of the rig.
+    """
+    solution, start, root = result.solution, result.start, rig.reference
+    names = list(start.states) if solution else [root]
+    states = solution.states if solution else [_start_alone(start.observed.get(root))]
+    alone = NetworkPoses((root,), np.eye(4)[None], np.zeros((6, 6)))
+    located = locate_sensors(names, solution) if solution else alone
+    verdicts = _grade_poses(rig, names, solution, result) if solution else {root: LONE_ROOT}
+    clocks = np.zeros((1, 2))
     if solution:
-        covariance, clocks = express_in_root(solution, solution.covariance, T_root_world)
-        untimed = np.array([start.observed[name].untimed for name in names])
-        clocks = np.sqrt(clocks**2 + (untimed**2 + untimed[0] ** 2) / 12)
-    by_sensor = collect_findings(result.findings)
+        clocks = _relate_to(solution, names.index(root), -BESIDE_POSE)
+        sweep = np.array([start.observed[name].untimed for name in names])
+        # Times within a sweep without times of points are equally likely.
+        clocks[:, 1] = np.sqrt(clocks[:, 1] ** 2 + (sweep**2 + sweep[names.index(root)] ** 2) / 12)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
     parents = find_parents(inliers, initial.names)
-    errors, known, of_floor = _list_errors(rig, result)
     sensors = []
     for k, name in enumerate(names):
-        spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
-        T = np.asarray(T_root_world @ states[k].T_root_sensor)
-        verdict = LONE_ROOT if solution is None else Verdict("good")
-        if solution is not None and (k or rig.is_on_floor):
-            T_world_sensor = states[k].T_root_sensor
-            stddev, rest, floor = (
-                stddev_along_axes(T_world_sensor, one[block, block]) for one in (errors, known, of_floor)
-            )
-            shares = {_RANGES: 1 - (rest / stddev) ** 2}
-            if rig.is_on_floor:
-                shares[_FLOOR] = (floor / stddev) ** 2
-            worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)))
-            is_stated = isinstance(spec, Lidar2dSpec) and worst in _LEVEL_AXES
-            shares[_STATED if is_stated else _REST] = 1 - np.sum(list(shares.values()), axis=0)
-            largest = max(shares, key=lambda source: float(shares[source][worst]))
-            advice = {_RANGES: _RANGE_ADVICE, _FLOOR: _FLOOR_ADVICE.format(reference)}.get(
-                largest, _advise_walks(names, solution, k)
-            )
-            advice = _LEVEL_ADVICE if is_stated else advice
-            verdict = grade_pose(
-                name, spec.kind, T_world_sensor, errors[block, block],
-                [*by_sensor.get(name, ()), *(_find_contradictions(solution, k) if k else ())],
-                tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
-                data=_REST,
-                advice=advice,
-                shares=shares,
-            )  # fmt: skip
+        spec = rig.sensors[name]
+        offset, stddev = clocks[k].tolist() if name != root else (None, None)
         sensors.append(
             SensorPose(
                 name,
                 parents.get(name),
                 spec.frame_id or result.frames.get(name) or name,
                 spec.kind,
-                T,
-                verdict,
-                clock_offset=states[k].clock_offset if k else None,
-                clock_offset_stddev=float(clocks[k]) if k else None,
+                located.T_root_scanner[k],
+                verdicts[name],
+                clock_offset=offset,
+                clock_offset_stddev=stddev,
             )
         )
+    T_first_world = se3.inverse(states[0].T_root_sensor)
     planar = _project_poses(names, states, result.observed)
-    pairs = [(initial.names[a], initial.names[b]) for a, b in inliers.edges.tolist()]
+    pairs = [(initial.names[a], initial.names[b]) for a, b in inliers.edges.tolist() if solution]
     poses = {(a, b): (planar[a], planar[b]) for a, b in pairs}
     tracked: dict[str, ScannerTracks | Rejected] = {
         name: one if isinstance(one, Rejected) else start.corrected.tracked[name]
@@ -156,25 +146,22 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
             samples[name] = resample_tracks(correct_tracks(one, clock_offset=remaining))
     matches = match_across_scanners(samples, planar)
     return Calibration(
-        root=reference,
+        root=names[0],
         sensors=tuple(sensors),
-        joint_covariance=covariance,
-        systematic=_list_drifts(names, solution) if solution else (),
+        joint_covariance=located.covariance,
+        systematic=_list_drifts(names, solution, names.index(root)) if solution else (),
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
             edges=tuple(build_edge(pair, found, poses, parents) for pair, found in initial.pairs.items()),
             captures=build_walk_rows(samples, matches, result.begin),
             unconnected={
-                name: explain_unconnected(name, reference, tracked, initial.pairs)
-                + (f"; {_WALK_IN}" if isinstance(tracked[name], ScannerTracks) else "")
-                for name in rig.sensors
-                if name not in names
+                name: _explain_unconnected(name, root, tracked, start) for name in rig.sensors if name not in names
             },
             remarks=tuple(finding.text for finding in result.findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
             fit=_describe_fit(names, solution) if solution else {},
-            initial_poses={name: T_root_world @ start.states[name].T_root_sensor for name in names if solution},
+            initial_poses={name: T_first_world @ start.states[name].T_root_sensor for name in names if solution},
         ),
         pictures=Pictures(
             floor_views=_build_views(tracked, samples, planar, result),
@@ -199,6 +186,98 @@ def _build_views(
     return tuple(views)
 
 
+def _start_alone(observed: SpaceObservations | None) -> SensorState:
+    """The state of a root to which nothing is connected, over its floor if it has one."""
+    return SensorState(observed.T_floor_sensor if observed else np.eye(4))
+
+
+def _explain_unconnected(
+    name: str, root: str, tracked: Mapping[str, ScannerTracks | Rejected], start: SpaceStart
+) -> str:
+    """Why a sensor has no pose, and where people should walk."""
+    pairs = start.initialization.pairs
+    others = ", ".join(one for one in start.states if one != name)
+    if name in start.states and others:
+        reason = explain_unconnected(root, root, tracked, pairs)
+        return f"is connected to {others}, but the root {root} is not: {reason}; {_WALK_IN}"
+    reason = explain_unconnected(name, root, tracked, pairs)
+    return f"{reason}; {_WALK_IN}" if isinstance(tracked[name], ScannerTracks) else reason
+
+
+def locate_sensors(names: Sequence[str], solution: SpaceSolution, covariance: Array | None = None) -> NetworkPoses:
+    """The poses of a solution in the frame of its first sensor, with its covariance (P, P), or another one."""
+    T = np.array([one.T_root_sensor for one in solution.states])
+    T_first_world, S = se3.inverse(T[0]), len(T)
+    whole = expand_covariance(solution.covariance if covariance is None else covariance, solution.free)
+    pose = np.arange(solution.free.size).reshape(S, -1)[:, :6].ravel()
+    turned = np.kron(np.eye(2 * S), T_first_world[:3, :3])
+    return NetworkPoses(tuple(names), T_first_world @ T, turned @ whole[np.ix_(pose, pose)] @ turned.T)
+
+
+def _relate_to(solution: SpaceSolution, root: int, column: int) -> Array:
+    """(S, 2) a number of the states, by its column, less that of the root, and its standard deviation."""
+    covariance = expand_covariance(solution.covariance, solution.free)
+    rows = np.arange(solution.free.size).reshape(solution.free.shape)[:, column]
+    covariance = covariance[np.ix_(rows, rows)]
+    number = measure_deviations(solution.states, [SensorState(np.eye(4))] * len(rows))[:, column]
+    variance = np.diag(covariance) - 2 * covariance[root] + covariance[root, root]
+    return np.column_stack([number - number[root], np.sqrt(np.maximum(variance, 0.0))])
+
+
+def _grade_poses(
+    rig: Rig, names: Sequence[str], solution: SpaceSolution, result: SpaceResult
+) -> dict[str, Verdict]:
+    """Verdicts on the poses relative to the root of the rig: a sensor, or the floor below the first."""
+    root, settings = rig.reference, rig.settings.diagnostics.verdict
+    stated = names.index(root)
+    level = number_free(solution.free)[stated, _LEVEL_AXES] if stated else np.zeros(0, dtype=np.intp)
+    exact = condition_on(solution.with_ranges, level)
+    found, known, without_root = (
+        _express_in_root(rig, locate_sensors(names, solution, covariance), result, floor=floor)
+        for covariance, floor in ((solution.covariance, 1.0), (solution.with_ranges, 1.0), (exact, 0.0))
+    )
+    by_sensor = collect_findings(result.findings)
+    of_all = by_sensor.get(root, []) if stated else []
+    verdicts = {rig.root: Verdict("good")}
+    for name in found.names[1:]:
+        k, rows = names.index(name), np.ix_(*[found.covariance_rows([name])] * 2)
+        kind, T = rig.sensors[name].kind, found.T_root_scanner[found.names.index(name)]
+        stddev, rest, least = (stddev_along_axes(T, one.covariance[rows]) for one in (found, known, without_root))
+        shares = {_RANGES: 1 - (rest / stddev) ** 2}
+        if stated or rig.is_on_floor:
+            shares[_OF_ROOT if stated else _FLOOR] = (rest**2 - least**2) / stddev**2
+        worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, settings)))
+        is_stated = kind == "lidar2d" and worst in _LEVEL_AXES
+        shares[_STATED if is_stated else _REST] = 1 - np.sum(list(shares.values()), axis=0)
+        advice = {
+            _RANGES: _RANGE_ADVICE,
+            _FLOOR: _FLOOR_ADVICE.format(names[0]),
+            _OF_ROOT: _LEVEL_ADVICE.format(f"the root {root}") + _ROOT_ADVICE,
+        }
+        if is_stated:
+            advice |= {one: _LEVEL_ADVICE.format("a 2-D scanner") for one in (_RANGES, _FLOOR, _STATED)}
+        largest = max(shares, key=lambda source: float(shares[source][worst]))
+        reasons = dict.fromkeys([*by_sensor.get(name, ()), *of_all])
+        verdicts[name] = grade_pose(
+            name, kind, T, found.covariance[rows],
+            [*reasons, *(_find_contradictions(solution, k, stated) if k != stated else ())],
+            tolerance=rig.tolerance, settings=settings,
+            data=_REST,
+            advice=advice.get(largest) or _advise_walks(names, solution, k),
+            shares=shares,
+        )  # fmt: skip
+    return verdicts
+
+
+def _express_in_root(rig: Rig, poses: NetworkPoses, result: SpaceResult, *, floor: float) -> NetworkPoses:
+    """The poses in the frame of the root of the rig; if that is the floor, with a factor of its covariance."""
+    reference = result.observed[poses.names[0]]
+    if rig.is_on_floor and isinstance(reference, SpaceObservations):
+        T = reference.T_floor_sensor
+        return poses.place(rig.root, T, floor * spread_floor(T, reference.floor_covariance))
+    return poses.change_root(rig.root)
+
+
 def _advise_walks(names: Sequence[str], solution: SpaceSolution, k: int) -> str:
     """Between sensor k and which other people should walk: the one with most common people, and nearest."""
     common = np.zeros(len(names))
@@ -209,17 +288,21 @@ def _advise_walks(names: Sequence[str], solution: SpaceSolution, k: int) -> str:
     return _ADVICE.format(names[k], names[int(order[order != k][0])])
 
 
-def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
-    """Why the pose of sensor k cannot be good."""
+def _find_contradictions(solution: SpaceSolution, k: int, root: int) -> list[str]:
+    """Why the pose of sensor k relative to the root cannot be good."""
     reasons = []
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
-    by_persons = any(k in one.sensors for one in solution.persons)
-    if not by_persons and not any(k in one.sensors for one in solution.vehicles):
-        reasons.append("no person or vehicle was measured by it and another sensor at the same time and place")
+    for sensor, reason in (
+        (k, "no person or vehicle was measured by it and another sensor at the same time and place"),
+        (root, "no person or vehicle was measured by the root and another sensor at the same time and place"),
+    ):
+        by_persons = any(sensor in one.sensors for one in solution.persons)
+        if not by_persons and not any(sensor in one.sensors for one in solution.vehicles):
+            reasons.append(reason)
     agree = (solution.agreement >= _MIN_AGREEMENT) & (solution.balance >= _MIN_BALANCE)
     connected = label_parts(len(solution.states), np.argwhere(agree))
-    if connected[0] != connected[k]:
+    if connected[root] != connected[k]:
         reasons.append(
             "walls that it measured do not agree with those of other sensors: let more of the same walls, pillars "
             "and furniture be in the views of both"
@@ -227,46 +310,14 @@ def _find_contradictions(solution: SpaceSolution, k: int) -> list[str]:
     return reasons
 
 
-def _list_errors(rig: Rig, result: SpaceResult) -> tuple[Array, Array, Array]:
-    """Covariances (6S, 6S), in the world, of what is graded, of it without errors of ranges, and of the floor."""
-    solution, reference = result.solution, result.observed[rig.reference]
-    nothing = np.zeros((6, 6))
-    if solution is None:
-        return nothing, nothing, nothing
-    found, known = (
-        express_in_root(solution, one, np.eye(4))[0] for one in (solution.covariance, solution.with_ranges)
-    )
-    of_floor = np.zeros_like(found)
-    if rig.is_on_floor and isinstance(reference, SpaceObservations):
-        of_floor = spread_floor([one.T_root_sensor for one in solution.states], reference.floor_covariance)
-    return found + of_floor, known + of_floor, of_floor
-
-
-def express_in_root(solution: SpaceSolution, covariance: Array, T_root_world: Array) -> tuple[Array, Array]:
-    """Covariance (6S, 6S) of poses in the axes of the root, and (S,) standard deviations of clocks, s.
-
-    Args:
-        solution: of the sensors.
-        covariance: (P, P) of their free states.
-        T_root_world: (4, 4) its world in the frame of the root.
-    """
-    S, whole = len(solution.states), expand_covariance(covariance, solution.free)
-    numbers = np.arange(solution.free.size).reshape(S, -1)
-    pose = numbers[:, :6].ravel()
-    turned = np.kron(np.eye(2 * S), T_root_world[:3, :3])
-    return turned @ whole[np.ix_(pose, pose)] @ turned.T, np.sqrt(np.diag(whole)[numbers[:, -BESIDE_POSE]])
-
-
-def _list_drifts(names: Sequence[str], solution: SpaceSolution) -> tuple[EstimatedParameter, ...]:
-    """Of the clocks that may drift."""
-    variances = np.diag(expand_covariance(solution.covariance, solution.free)).reshape(solution.free.shape)
-    rows = zip(names, solution.states, solution.prior[:, -TIMING], variances[:, -TIMING], strict=True)
+def _list_drifts(names: Sequence[str], solution: SpaceSolution, root: int) -> tuple[EstimatedParameter, ...]:
+    """Of the clocks that may drift from that of the root."""
+    prior = np.hypot(solution.prior[:, -TIMING], solution.prior[root, -TIMING])
+    rows = zip(names, prior.tolist(), _relate_to(solution, root, -TIMING).tolist(), strict=True)
     return tuple(
-        EstimatedParameter(
-            name, "clock drift", "", 0.0, float(prior), float(state.timing[0]), float(variance**0.5)
-        )
-        for name, state, prior, variance in rows
-        if prior > 0
+        EstimatedParameter(name, "clock drift", "", 0.0, stated, *found)
+        for k, (name, stated, found) in enumerate(rows)
+        if stated > 0 and k != root
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import Array, Index, se_n
 from calgraph.network.joint.planar_poses import ScannerPrior
 from calgraph.network.space.observations import SpaceObservations
 from calgraph.network.space.person_paths import (
@@ -184,7 +184,7 @@ def solve_space(
         changes = find_changes(equations, free, ends, places - places[0], ("clock",), _FALSE_ALARM)
         begin = float(ends[0] - PERIOD)
     return SpaceSolution(
-        states, free, prior, covariance, _condition_on_ranges(covariance, free),
+        states, free, prior, covariance, condition_on(covariance, _find_ranges(free)),
         persons, vehicles, people, shared, noise, body,
         agreement=agreement,
         balance=balance,
@@ -206,16 +206,18 @@ def _enlarge(states: Sequence[SensorState], free: NDArray[np.bool_], shape: int)
     return np.append(change[free], np.zeros(shape))
 
 
-def _condition_on_ranges(covariance: Array, free: NDArray[np.bool_]) -> Array:
-    """The covariance (P, P) of free states for known range biases and scales."""
+def _find_ranges(free: NDArray[np.bool_]) -> Index:
+    """Which free states are range biases and scales."""
     column = np.nonzero(free)[1]
-    ranges = np.flatnonzero(
+    return np.flatnonzero(
         (column == free.shape[1] - BESIDE_POSE + 1) | (column == free.shape[1] - BESIDE_POSE + 2)
     )
-    if not len(ranges):
-        return covariance
-    cross = covariance[:, ranges]
-    return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(ranges, ranges)], cross.T))
+
+
+def condition_on(covariance: Array, known: Index) -> Array:
+    """The covariance (P, P) of states if some of them were known."""
+    cross = covariance[:, known]
+    return np.asarray(covariance - cross @ np.linalg.solve(covariance[np.ix_(known, known)], cross.T))
 
 
 def _add_poses(

@@ -1,14 +1,14 @@
 """Networks in space: from one recording of people walking through a hall to the poses of its sensors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calgraph.config import Cylinder, Lidar2dSpec, Lidar2dUncertainty, Lidar3dSpec, Rig
 from calgraph.config.settings import TrackingSettings
 from calgraph.errors import InputError, Rejected
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array
 from calgraph.network.checks.extension import (
     EARLIER_WEIGHT,
     build_consistent_prior,
@@ -16,15 +16,15 @@ from calgraph.network.checks.extension import (
     merge_with_earlier,
 )
 from calgraph.network.checks.findings import collect_network_findings
-from calgraph.network.joint.planar_poses import NetworkPoses, ScannerPrior
+from calgraph.network.joint.planar_poses import ScannerPrior
 from calgraph.network.options import NetworkOptions
-from calgraph.network.space.assemble import SpaceResult, assemble_space, express_in_root
+from calgraph.network.space.assemble import SpaceResult, assemble_space, locate_sensors
 from calgraph.network.space.bodies import find_bodies
 from calgraph.network.space.body_tracks import track_bodies
 from calgraph.network.space.floor_plane import find_floor
 from calgraph.network.space.joint import SpaceSolution, solve_space
 from calgraph.network.space.observations import SpaceObservations
-from calgraph.network.space.on_floor import express_on_floor, leave_floor
+from calgraph.network.space.roots import change_root, express_in_reference, express_on_floor, list_references
 from calgraph.network.space.start import SpaceStart, start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.network.space.vehicles import find_vehicles
@@ -59,15 +59,10 @@ def check_space(rig: Rig, options: NetworkOptions) -> None:
     """Checks what is asked of a network in space.
 
     Raises:
-        InputError: a sensor or the root is of another kind, the target is not people, or the estimator is of
-            planar networks.
+        InputError: a sensor is of another kind, the target is not people, or the estimator is of planar networks.
     """
     for name, spec in rig.sensors.items():
         _scanning_spec(name, spec)
-    if not isinstance(rig.sensors[rig.reference], Lidar3dSpec):
-        raise InputError(
-            f"root: must be a 3-D LiDAR, which measures the floor, where there is one, got {rig.root}"
-        )
     if isinstance(rig.target, Cylinder):
         raise InputError("target.kind: must be people for a network of 3-D LiDARs, got cylinder")
     estimator = options.select_method(rig.settings.published).estimator
@@ -96,32 +91,31 @@ def calibrate_in_space(
         progress: called with the step and the fraction done.
 
     Raises:
-        InputError: the earlier calibration lacks the sensor whose floor is the root.
+        InputError: the earlier calibration lacks the LiDAR against which the network is to be solved.
         CalibrationError: nothing is connected to the root of a network that is to be extended, or it has moved.
     """
-    if earlier is not None and rig.is_on_floor:
-        earlier = leave_floor(earlier, rig.reference)
-    solved = rig.model_copy(update={"root": rig.reference})
+    references = list_references(rig, earlier)
     observed, frames = _observe(rig, recording, options, monitor, progress)
     tracked, of_scanners, found = _track_scanners(rig, recording, options, monitor, progress)
-    findings = [*findings, *monitor.findings(), *found]
     scanners = {name: one for name, one in tracked.items() if isinstance(one, ScannerTracks)}
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
-    findings += _describe_steps(solved, measured, recording.start) + _describe_untimed(measured)
-    rng = np.random.default_rng(options.seed)
-    start = start_in_space(solved, measured, scanners, options, rng, progress)
+    solved, start = _start(rig, references, measured, scanners, earlier, options, progress)
+    findings = [*findings, *monitor.findings(), *found, *_describe_steps(solved, measured, recording.start)]
+    findings += _describe_untimed(measured)
     findings += start.corrected.findings
-    findings += collect_network_findings(tracked, start.initialization, recording.start)
+    findings += collect_network_findings(rig.root, tracked, start.initialization, recording.start)
     solution = prior = None
-    if len(start.states) > 1:
+    if rig.reference in start.states and len(start.states) > 1:
         names = list(start.states)
         with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
             solution = _solve(solved, start, engine, progress)
             if earlier is not None:
+                earlier = express_in_reference(earlier, solved.root)
                 poses = extract_earlier_poses(earlier, solved.root, in_space=True)
-                prior = build_consistent_prior(poses, _locate(names, solution), rig.settings.diagnostics)
+                found_poses = locate_sensors(names, solution)
+                prior = build_consistent_prior(poses, found_poses, rig.reference, rig.settings.diagnostics)
                 solution = _solve(solved, start, engine, progress, prior).scale_covariance(1 / EARLIER_WEIGHT)
-        findings += describe_changes(solution.changes, names, solved.root, solution.begin)
+        findings += describe_changes(solution.changes, names, rig.root, solution.begin)
     rejected = {name: one for name, one in (observed | tracked).items() if isinstance(one, Rejected)}
     result = SpaceResult(
         {name: rejected.get(name) or start.observed[name] for name in rig.sensors}, frames | of_scanners, start,
@@ -130,10 +124,42 @@ def calibrate_in_space(
     calibration = assemble_space(rig, result)
     if earlier is not None:
         calibration = merge_with_earlier(calibration, earlier, prior)
-    of_reference = observed[solved.root]
-    if rig.is_on_floor and isinstance(of_reference, SpaceObservations):
-        return express_on_floor(calibration, of_reference)
-    return calibration
+    if not rig.is_on_floor:
+        return change_root(calibration, rig.root)
+    of_reference = observed[rig.reference]
+    if isinstance(of_reference, Rejected):
+        return calibration
+    return express_on_floor(calibration, of_reference)
+
+
+def _start(
+    rig: Rig,
+    references: Sequence[str],
+    measured: Mapping[str, SpaceObservations],
+    scanners: Mapping[str, ScannerTracks],
+    earlier: Calibration | None,
+    options: NetworkOptions,
+    progress: Progress,
+) -> tuple[Rig, SpaceStart]:
+    """The start of a network, and the rig with the LiDAR as root against which it is solved.
+
+    It is the first that is connected to the root of the rig, and the last if none is.
+    """
+    candidates = [name for name in references if name in measured] or list(references[:1])
+    tried: set[str] = set()
+    for name in candidates:
+        if name not in tried:
+            solved = rig.model_copy(update={"root": name})
+            if earlier is not None and name in measured:
+                # Poses over the floor show which scanners are upside-down.
+                level = express_on_floor(express_in_reference(earlier, name), measured[name])
+                options = replace(options, extend=level)
+            rng = np.random.default_rng(options.seed)
+            start = start_in_space(solved, measured, scanners, options, rng, progress)
+            tried |= set(start.states)
+            if rig.reference in tried:
+                break
+    return solved, start
 
 
 def _observe(
@@ -256,14 +282,6 @@ def _solve(
         engine,
         lambda done: progress("solving", done),
     )
-
-
-def _locate(names: Sequence[str], solution: SpaceSolution) -> NetworkPoses:
-    """The poses in the frame of the root, the first sensor."""
-    T = np.array([state.T_root_sensor for state in solution.states])
-    T_root_world = se3.inverse(T[0])
-    covariance, _ = express_in_root(solution, solution.covariance, T_root_world)
-    return NetworkPoses(tuple(names), T_root_world @ T, covariance)
 
 
 def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
