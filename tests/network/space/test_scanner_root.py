@@ -44,7 +44,7 @@ def calibrated(root: str) -> Calibration:
 
 
 def muted(name: str) -> IndexedRecording:
-    """The recording with half a second of a sensor, in which it tracks nobody."""
+    """The recording with half a second of a sensor, in which it tracks no person."""
     recording = hall().recording
     topic = rig_of(ROOT).topics[name]
     kept = [one for one in recording.records() if one.topic != topic or one.stamp < recording.start + 0.5]
