@@ -20,7 +20,7 @@ from calgraph.network.checks.extension import (
     remove_scanners,
 )
 from calgraph.network.checks.findings import collect_network_findings
-from calgraph.network.checks.model_assessment import assess_network_model
+from calgraph.network.checks.model_assessment import ModelAssessment, assess_network_model
 from calgraph.network.checks.moved_scanners import compare_network_poses
 from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.graph.network_initialization import NetworkInitialization
@@ -191,7 +191,7 @@ def _assess_and_assemble(
     extends: bool,
 ) -> Calibration:
     """The calibration, with what contradicts it; other arguments as for :func:`calibrate_tracks`."""
-    contradictions: Sequence[Finding] = ()
+    assessment = ModelAssessment(joint)
     if joint is not None:
         assessment = assess_network_model(
             joint,
@@ -200,7 +200,6 @@ def _assess_and_assemble(
             replaceable=not extends,  # averaged poses do not contain the earlier ones
             max_stddev=float(max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)[0]),
         )
-        joint, contradictions = assessment.joint, assessment.findings
     start = _first_time(corrected.tracked) if start is None else start
     of_poses = collect_network_findings(rig.root, tracks, initialization, start)
     return assemble_network(
@@ -209,8 +208,9 @@ def _assess_and_assemble(
         {**tracks, **corrected.tracked},
         initialization,
         start,
-        joint,
-        (*findings, *corrected.findings, *of_poses, *contradictions),
+        assessment.joint,
+        (*findings, *corrected.findings, *of_poses, *assessment.findings),
+        averaged_variance=assessment.averaged_variance,
         clock_offset=corrected.clock_offset,
         inverted=corrected.inverted,
     )

@@ -13,7 +13,7 @@ from calgraph.result.sensor_pose import stddev_along_axes
 _REMEDIES: Mapping[str, str] = MappingProxyType({
     **dict.fromkeys(
         ("noise", "view bias", "edges", "walls", "body model", "body paths", "body shapes",
-         "scatter of parts", "correlated beams", "clock offset"),
+         "scatter of parts", "difference from averages", "correlated beams", "clock offset"),
         "recording more",
     ),
     "serial correlation": "recording more, with the board moved farther from capture to capture",

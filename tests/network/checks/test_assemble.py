@@ -60,6 +60,7 @@ def assemble(
     inliers: tuple[bool, ...] = (True, True, True),
     findings: tuple[Finding, ...] = (),
     stated: Mapping[str, Mapping[str, object]] | None = None,
+    averaged_variance: float = 1.0,
 ) -> Calibration:
     rig = Rig.model_validate(
         {
@@ -86,6 +87,7 @@ def assemble(
         1000.0,
         NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3)) if joint else None,
         findings,
+        averaged_variance=averaged_variance,
     )
 
 
@@ -125,6 +127,12 @@ def test_without_a_joint_solution_clocks_are_those_of_the_pairs() -> None:
     assert [one.clock_offset_stddev for one in found.sensors[1:]] == pytest.approx([stddev, stddev])
     used = [(row.sensor, row.used) for row in found.evidence.captures if row.sensor != "cellar"]
     assert used == [(name, True) for name in sorted(NAMES)]
+
+
+def test_averaged_poses_have_the_variances_of_their_pairs_times_a_factor() -> None:
+    of_pairs, wider = (assemble(joint=False, averaged_variance=one).joint_covariance for one in (1.0, 3.0))
+    assert np.diag(of_pairs)[6:8].all()
+    np.testing.assert_allclose(wider, 3 * of_pairs)
 
 
 def test_parents_follow_the_edges_with_the_most_information() -> None:

@@ -10,6 +10,7 @@ from calgraph.network.checks.consistency_tests import (
     compute_p_value,
     find_disagreement,
     find_inconsistent_parts,
+    measure_excess,
     measure_scatter,
 )
 from calgraph.network.checks.model_assessment import _INTERVAL
@@ -175,3 +176,21 @@ def test_an_unknown_without_information_does_not_take_part() -> None:
 
 def test_without_any_information_nothing_is_unlikely() -> None:
     assert compute_p_value(np.zeros(2), np.zeros((2, 2)), 1e-3, np.zeros(2)) == 1.0
+
+
+def test_a_difference_that_both_covariances_explain_widens_none() -> None:
+    assert measure_excess(np.array([1.0, 1.0]), np.eye(2), np.eye(2)) == 1.0
+
+
+def test_the_excess_of_a_difference_is_what_makes_it_as_large_as_expected() -> None:
+    """4 + 12 over 2 is 8: variances of 1 with 7 of their own; all 8 if the other estimate is exact."""
+    difference = np.array([2.0, np.sqrt(12.0)])
+    assert measure_excess(difference, np.eye(2), np.eye(2)) == pytest.approx(7.0, rel=2e-3)
+    assert measure_excess(difference, np.eye(2), np.zeros((2, 2))) == pytest.approx(8.0, rel=2e-3)
+
+
+def test_the_excess_is_of_the_first_covariance_alone() -> None:
+    """A second component of variance 9 that the other estimate explains takes no part of the excess."""
+    difference, other = np.array([3.0, 3.0]), np.diag([0.0, 9.0])
+    factor = measure_excess(difference, np.diag([1.0, 1e-9]), other)
+    assert factor == pytest.approx(9.0, rel=2e-3)

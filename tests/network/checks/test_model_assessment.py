@@ -137,6 +137,24 @@ def test_scatter_that_the_covariance_contains_is_no_reason_for_weak_poses(monkey
     assert covariance_of(found)[0, 0] > 1.5e-6
 
 
+def test_contradicted_poses_contain_their_difference_from_averaged_pairs() -> None:
+    """7 cm of 2 cm, over six axes: the variance of the joint solution is what 2 cm do not explain."""
+    found = assess(solve(alternating=True), averaging_error=0.07)
+    assert [finding for finding in found.findings if "from averaged pairs" in finding.text] == []
+    expected = 0.07**2 / 6 - PAIR_SIGMA**2
+    np.testing.assert_allclose(np.diag(covariance_of(found)), expected, rtol=2e-3)
+    right = assess(solve(), averaging_error=0.07)
+    np.testing.assert_array_equal(covariance_of(right), 1e-6 * np.eye(12))
+
+
+def test_averaged_poses_contain_their_difference_from_the_solution_that_they_replace() -> None:
+    found = assess(with_noise_at_limit(), averaging_error=0.2)
+    assert found.joint is None
+    assert found.averaged_variance == pytest.approx(0.2**2 / 6 / PAIR_SIGMA**2, rel=0.01)
+    assert assess(with_noise_at_limit()).averaged_variance == 1.0
+    assert assess(solve()).averaged_variance == 1.0
+
+
 def test_averaged_pairs_that_disagree_make_all_poses_weak() -> None:
     # Far beyond 3 cm, the standard deviation of the average.
     found = assess(solve(), averaging_error=0.2)

@@ -71,6 +71,7 @@ def assemble_network(
     joint: NetworkSolution | None = None,
     findings: Sequence[Finding] = (),
     *,
+    averaged_variance: float = 1.0,
     clock_offset: Mapping[str, float] = MappingProxyType({}),
     inverted: Collection[str] = (),
 ) -> Calibration:
@@ -84,6 +85,7 @@ def assemble_network(
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses and clocks replace the averaged ones.
         findings: what does not fit the rig in the messages of the recording, and what contradicts the solution.
+        averaged_variance: variances of averaged poses over those of their pairs.
         clock_offset: by which the times of tracks were corrected, s.
         inverted: scanners whose tracks were mirrored, as they are mounted the other way up than the root.
     """
@@ -100,7 +102,9 @@ def assemble_network(
     matches = match_across_scanners(samples, planar)
     inliers = initialization.graph.select_edges(averaged.inliers)
     covariance = lift_covariance(
-        compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
+        averaged_variance * compute_joint_covariance(inliers, averaged.T_root_node)
+        if joint is None
+        else joint.pose_covariance
     )
     clocks[:, 0] += [clock_offset.get(name, 0.0) for name in names]
     # A rotation by 180° about the x axis of the mirrored frame.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import chdtrc
 
 from calgraph.geometry import Array, se2
@@ -165,6 +166,31 @@ def find_disagreement(
             "target in rig.yaml, that clocks agree, and ranges against a tape",
             tuple(names),
         )
+
+
+# Relative error of the factor: 0.05 % of a standard deviation.
+_EXCESS_TOLERANCE = 1e-3
+
+
+def measure_excess(difference: Array, covariance: Array, other: Array) -> float:
+    """Factor, at least 1, of a covariance with which its estimate differs from another one as much as expected.
+
+    Source: Paule and Mandel, "Consensus values and weighting factors", 1982.
+
+    Args:
+        difference: (n,) of the two estimates.
+        covariance: (n, n) that is multiplied.
+        other: (n, n) of the other estimate.
+    """
+
+    def exceed(factor: float) -> float:
+        return float(difference @ np.linalg.solve(factor * covariance + other, difference)) - len(difference)
+
+    if exceed(1.0) <= 0:
+        return 1.0
+    # With an exact other estimate; a little more, so that rounding leaves a root below.
+    most = 1.01 * float(difference @ np.linalg.solve(covariance, difference)) / len(difference)
+    return float(brentq(exceed, 1.0, most, rtol=_EXCESS_TOLERANCE))
 
 
 def compute_p_value(
