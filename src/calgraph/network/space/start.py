@@ -21,6 +21,7 @@ from calgraph.network.space.vehicle_start import pair_by_vehicles
 from calgraph.network.space.vehicles import leave_out_vehicles
 from calgraph.network.tracking.track import ScannerTracks, Track, correct_tracks
 from calgraph.parallel.progress import Progress
+from calgraph.result.finding import Finding
 from calgraph.surfaces.sensor_states import SensorState
 
 # Height of a scanner that states none, m, and its standard deviation: from shins to heads.
@@ -152,7 +153,14 @@ def start_in_space(
     if len(other.states) <= len(start.states):
         return start
     people = {name: corrected.tracked[name] for name in driven}
-    return replace(other, corrected=replace(other.corrected, tracked={**other.corrected.tracked, **people}))
+    added = ", ".join(name for name in other.states if name not in start.states)
+    remark = Finding(f"vehicles connect {added} to the others: people do not")
+    complete = replace(
+        other.corrected,
+        tracked={**other.corrected.tracked, **people},
+        findings=(*other.corrected.findings, remark),
+    )
+    return replace(other, corrected=complete)
 
 
 def _place_sensors(
