@@ -46,6 +46,9 @@ from calgraph.verdict.state_changes import describe_changes
 _MAX_TOGETHER, _BATCHES_PER_WORKER = 10, 4
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
+# Of roll and pitch, rad (1.7°): sensors are level over floors, whose slopes differ by ramps of a few percent. With
+# 0.2 rad, wrong start poses of two LiDARs turned by 10° until their walls agreed.
+_SLOPE_STDDEV = 0.03
 # Standard deviation of the drift of a LiDAR's clock: oscillators are those of 2-D scanners.
 _CLOCK_DRIFT = Lidar2dUncertainty().clock_drift
 
@@ -288,7 +291,7 @@ def _state_stddev(rig: Rig, name: str, observed: SpaceObservations) -> Array:
     """(12,) of the start of a sensor, in the order of :meth:`SensorState.moved`; times of beams are stated."""
     stated = _scanning_spec(name, rig.sensors[name]).uncertainty
     drift = stated.clock_drift if isinstance(stated, Lidar2dUncertainty) else _CLOCK_DRIFT
-    pose = [*[_PLACE_STDDEV] * 3, *[_ROTATION_STDDEV] * 3, _CLOCK_STDDEV]
+    pose = [*[_PLACE_STDDEV] * 3, *[_SLOPE_STDDEV] * 2, _ROTATION_STDDEV, _CLOCK_STDDEV]
     if observed.flat:
         roll, pitch, height = np.sqrt(np.diag(observed.floor_covariance))
         pose[2:5] = height, roll, pitch
