@@ -8,6 +8,7 @@ import pytest
 from calgraph.config.settings import TrackingSettings
 from calgraph.geometry import Array, se2, se3, se_n
 from calgraph.network.scanner_pairs import CorrectedPairs
+from calgraph.network.space.joint import solve_space
 from calgraph.network.space.observations import BodyTrack, SpaceObservations, StaticPoints
 from calgraph.network.space.static_directions import MovingPoints
 from calgraph.network.space.vehicle_pairs import find_vehicle_pairs, reduce_vehicles
@@ -15,6 +16,7 @@ from calgraph.network.space.vehicle_start import pair_by_vehicles
 from calgraph.network.space.vehicles import find_vehicles
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.surfaces.sensor_states import SensorState, move_states
+from network.space.space_scenes import Scene, build_scene, perturb, prior_of
 
 _T_A_B = se2.pose(2.0, np.array([6.0, -3.0]))
 _LEVEL = se3.from_xyz_quaternion(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -118,6 +120,18 @@ def test_vehicles_correct_poses_and_clocks_with_the_covariance_that_they_state(s
     assert error @ driven.information @ error < 20
 
 
+def test_errors_of_registrations_do_not_change_the_size_of_a_network() -> None:
+    """Vehicles that are measured 0.3 % too near: walls determine the size."""
+    scene = build_scene(0, duration=32.0, people=0)
+    start, prior = perturb(scene.truth, np.random.default_rng(0)), prior_of(3)
+    exact, other = (solve_space(_drive_through(scene, scale), start, prior).states for scale in (1.0, 0.997))
+    for k in (1, 2):
+        near, far = (
+            np.linalg.norm(some[k].T_root_sensor[:3, 3] - some[0].T_root_sensor[:3, 3]) for some in (other, exact)
+        )
+        assert abs(near / far - 1) < 1e-4
+
+
 @pytest.mark.parametrize("sensor", [0, 1])
 @pytest.mark.parametrize("number", [6, 9])
 def test_gradients_by_a_clock_and_its_drift(sensor: int, number: int) -> None:
@@ -134,6 +148,19 @@ def test_gradients_by_a_clock_and_its_drift(sensor: int, number: int) -> None:
     )
     exact = reduce_vehicles(pairs, states, free).information[:, 1]
     np.testing.assert_allclose(((forth - back) / 2e-3)[1], exact[1], rtol=0.1)
+
+
+def _drive_through(scene: Scene, scale: float) -> list[SpaceObservations]:
+    """What sensors measured, with a vehicle at a scale of its places."""
+    times, poses = _drive(32.0)
+    places = np.column_stack([poses[:, :2] - poses[:, :2].mean(axis=0) + [7.0, 5.0], np.full(len(times), 0.8)])
+    observed = []
+    for one, state in zip(scene.observations, scene.truth, strict=True):
+        centers = scale * se_n.apply(se_n.inverse(state.T_root_sensor), places)
+        stddev, slices = np.full(len(times), 0.05), np.zeros(len(times), dtype=np.intp)
+        track = BodyTrack(times + state.clock_offset, centers, stddev, stddev, slices, poses[:, 2])
+        observed.append(replace(one, T_floor_sensor=state.T_root_sensor, vehicles=(track,)))
+    return observed
 
 
 def _drive(duration: float, seed: int = 0) -> tuple[Array, Array]:

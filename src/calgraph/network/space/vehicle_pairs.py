@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import BodyTrack, SpaceObservations
+from calgraph.network.space.person_paths import eliminate_direction
 from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState, number_free
 
 # Standard deviations of the offset of the points, m: half a width of a van, or half a length of a forklift; and of
@@ -57,6 +58,14 @@ class VehicleEquations:
     """(V,) of these by the root's clock, s."""
     source: Index
     """(V,) number of the pair."""
+
+    def without(self, direction: Array) -> "VehicleEquations":
+        """The equations where a further move of the states along a direction (P,) is eliminated as well."""
+        information, gradient, scores = (
+            eliminate_direction(one, self.information, direction)
+            for one in (self.information, self.gradient, self.scores)
+        )
+        return VehicleEquations(information, gradient, scores, self.time, self.source)
 
 
 @dataclass(frozen=True, eq=False)
