@@ -4,7 +4,7 @@ The sensor is on a moving root, or stands still in a world that is its root.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ TIMING = 3
 """Number of parameters of the times of beams; see :attr:`SensorPoints.timing`."""
 BESIDE_POSE = 3 + TIMING
 """Number of parameters of a sensor besides its pose."""
+DRIFT = -TIMING
+"""Column of the drift of the clock among the numbers of the state of a stationary sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +56,13 @@ class SensorState:
     def moved(self, step: Array) -> "SensorState":
         """The state after a step (n + d + 6,): pose along the root's axes, clock, bias, scale, and timing."""
         pose = len(step) - BESIDE_POSE
-        return SensorState(
-            se_n.retract(self.T_root_sensor, step[:pose]),
-            self.clock_offset + float(step[pose]),
-            self.range_bias + float(step[pose + 1]),
-            self.range_scale + float(step[pose + 2]),
-            self.timing + step[pose + 3 :],
-            self.mid_time,
+        return replace(
+            self,
+            T_root_sensor=se_n.retract(self.T_root_sensor, step[:pose]),
+            clock_offset=self.clock_offset + float(step[pose]),
+            range_bias=self.range_bias + float(step[pose + 1]),
+            range_scale=self.range_scale + float(step[pose + 2]),
+            timing=self.timing + step[pose + 3 :],
         )
 
     def deviation_from(self, start: "SensorState") -> Array:
@@ -70,7 +72,7 @@ class SensorState:
         return np.array([*pose, clock, self.range_bias, self.range_scale, *self.timing])
 
     def date(self, measured: SensorPoints) -> Array:
-        """(N,) times of points by the root's clock, s."""
+        """(N,) times of points by the root's clock, s, of a sensor that moves."""
         return np.asarray(measured.times + measured.timing @ self.timing - self.clock_offset)
 
     def date_stationary(self, times: Array) -> Array:

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.network.space.observations import BodyTrack, SpaceObservations, StaticPoints
-from calgraph.surfaces.sensor_states import TIMING, SensorState
+from calgraph.surfaces.sensor_states import DRIFT, TIMING, SensorState
 from network.space.people_hall import mount
 
 SIZE = np.array([14.0, 10.0, 4.5])
@@ -133,5 +133,5 @@ def perturb(truth: list[SensorState], rng: np.random.Generator, metres: float = 
 def prior_of(sensors: int, bias: float = 0.02, scale: float = 0.003, drift: float = 3e-5) -> Array:
     """(S, 12) standard deviations of start values."""
     stddev = np.tile([1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.1, bias, scale, drift, 0.0, 0.0], (sensors, 1))
-    stddev[0, :7] = stddev[0, -TIMING] = 0.0
+    stddev[0, :7] = stddev[0, DRIFT] = 0.0
     return stddev

@@ -135,10 +135,13 @@ def test_errors_of_registrations_do_not_change_the_size_of_a_network() -> None:
 @pytest.mark.parametrize("sensor", [0, 1])
 @pytest.mark.parametrize("number", [6, 9])
 def test_gradients_by_a_clock_and_its_drift(sensor: int, number: int) -> None:
-    """Of tracks without noise, so that second derivatives do not count."""
-    observed = list(_observe(np.random.default_rng(0), noise=0.0).values())
+    """Of tracks without noise, so that second derivatives do not count; both clocks are 5 s ahead."""
+    observed = [
+        replace(one, vehicles=tuple(replace(track, times=track.times + 5.0) for track in one.vehicles))
+        for one in _observe(np.random.default_rng(0), noise=0.0).values()
+    ]
     T = np.asarray(se2.to_se3(_T_A_B) @ _LEVEL)
-    states = [SensorState(_LEVEL, mid_time=10.0), SensorState(T, _CLOCK, mid_time=14.0)]
+    states = [SensorState(_LEVEL, 5.0, mid_time=15.0), SensorState(T, 5.0 + _CLOCK, mid_time=19.0)]
     free = np.zeros((2, 12), dtype=np.bool_)
     free[sensor, [5, number]] = True
     pairs, step = find_vehicle_pairs(observed, states, 0.5), np.zeros(2)
@@ -148,6 +151,23 @@ def test_gradients_by_a_clock_and_its_drift(sensor: int, number: int) -> None:
     )
     exact = reduce_vehicles(pairs, states, free).information[:, 1]
     np.testing.assert_allclose(((forth - back) / 2e-3)[1], exact[1], rtol=0.1)
+
+
+def test_an_eliminated_direction_is_not_determined() -> None:
+    """That in which the second sensor moves along x and the other way along y; others stay determined."""
+    observed = list(_observe(np.random.default_rng(0)).values())
+    states = [SensorState(_LEVEL), SensorState(np.asarray(se2.to_se3(_T_A_B) @ _LEVEL), _CLOCK)]
+    free = np.zeros((2, 12), dtype=np.bool_)
+    free[1, [0, 1, 5, 6]] = True
+    driven = reduce_vehicles(find_vehicle_pairs(observed, states, 0.5), states, free)
+    direction = np.array([1.0, -1.0, 0.0, 0.0])
+    left = driven.without(direction)
+    for all_of, rest in (
+        (driven.information, left.information), (driven.gradient, left.gradient), (driven.scores, left.scores)
+    ):  # fmt: skip
+        assert np.abs(all_of @ direction).max() > 1.0
+        np.testing.assert_allclose(rest @ direction, 0.0, atol=1e-6)
+    assert np.linalg.matrix_rank(left.information, tol=1e-3) == 3
 
 
 def _drive_through(scene: Scene, scale: float) -> list[SpaceObservations]:

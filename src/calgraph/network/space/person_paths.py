@@ -38,7 +38,7 @@ from calgraph.network.space.persons import (
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.kept_values import Kept
 from calgraph.solver.change_tests import PeriodEquations
-from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState, number_free
+from calgraph.surfaces.sensor_states import BESIDE_POSE, DRIFT, TIMING, SensorState, number_free
 from calgraph.surfaces.surface_elimination import SurfaceEquations
 from calgraph.verdict.state_changes import PERIOD
 
@@ -166,7 +166,7 @@ def reduce_person(
     by_state = derive_places(samples, states, measured - np.pad(error, ((0, 0), (0, 1))))
     by_state[:, :, -BESIDE_POSE] = velocity
     mid_times = np.array([one.mid_time for one in states])
-    by_state[:, :, -TIMING] = velocity * (samples.time - mid_times[samples.sensor])[:, None]
+    by_state[:, :, DRIFT] = velocity * (samples.time - mid_times[samples.sensor])[:, None]
     by_states = _arrange_derivatives(rows.direction, by_state, of_state, count)
     H, g, response = _eliminate(rows, fit, by_states, prior, mean)
     # Accelerations are relative to the size of the network: they would else make it smaller, by 0.05 % of halls.

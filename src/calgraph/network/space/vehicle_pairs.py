@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.space.observations import BodyTrack, SpaceObservations
 from calgraph.network.space.person_paths import eliminate_direction
-from calgraph.surfaces.sensor_states import BESIDE_POSE, TIMING, SensorState, number_free
+from calgraph.surfaces.sensor_states import BESIDE_POSE, DRIFT, SensorState, number_free
 
 # Standard deviations of the offset of the points, m: half a width of a van, or half a length of a forklift; and of
 # the lag of registrations, s. Clocks of four simulated LiDARs were up to 21 ms off without it.
@@ -99,9 +99,6 @@ def find_vehicle_pairs(
                 assert first.yaws is not None
                 axis = np.column_stack([np.cos(first.yaws), np.sin(first.yaws), np.zeros(len(first.yaws))]) @ R
                 for b, second in enumerate(tracks[j]):
-                    own, other = states[i].date_stationary(first.times), states[j].date_stationary(second.times)
-                    if min(own[-1], other[-1]) - max(own[0], other[0]) < _MIN_COMMON:
-                        continue
                     pair = VehiclePair((i, j), (first, second), axis)
                     compared = _compare(pair, states)
                     if compared is not None:
@@ -154,7 +151,7 @@ def reduce_vehicles(
             by_state = states[sensor].place(points)[1][:, :2]
             by_state[:, :, -BESIDE_POSE] = one.velocity
             elapsed = one.times + states[sensor].clock_offset - states[sensor].mid_time
-            by_state[:, :, -TIMING] = one.velocity * elapsed[:, None]
+            by_state[:, :, DRIFT] = one.velocity * elapsed[:, None]
             J[:, :, numbers[sensor][free[sensor]]] += sign * by_state[:, :, free[sensor]]
         label = np.unique(np.floor(one.times / _VIEW), return_inverse=True)[1].ravel()
         weight = (_FREEDOM + 2) / (_FREEDOM + np.sum(one.error**2, axis=1) / variance)
