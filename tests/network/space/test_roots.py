@@ -113,7 +113,7 @@ def rig_of(root: str, *kinds: str) -> Rig:
 
 
 def test_a_lidar_that_earlier_poses_have_is_the_reference() -> None:
-    """Of a network whose LiDARs are lidar_0 to lidar_2."""
+    """It is the root itself if that is a LiDAR, and the first of rig.yaml if that is the floor."""
     found, _ = network(tilted(0.3, 0.5))
     kinds = ("lidar2d", "lidar3d", "lidar3d")
     assert list_references(rig_of("lidar2d_0", *kinds), None) == ["lidar3d_1", "lidar3d_2"]

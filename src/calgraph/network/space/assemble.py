@@ -20,6 +20,7 @@ from calgraph.network.joint.planar_poses import NetworkPoses
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.network.space.joint import SpaceSolution, condition_on
 from calgraph.network.space.observations import SpaceObservations
+from calgraph.network.space.persons import LEVELLING
 from calgraph.network.space.roots import spread_floor
 from calgraph.network.space.start import SpaceStart
 from calgraph.network.space.static_surfaces import thin_points
@@ -37,14 +38,7 @@ from calgraph.result import (
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.solver.connected_parts import label_parts
-from calgraph.surfaces.sensor_states import (
-    BESIDE_POSE,
-    TIMING,
-    SensorState,
-    expand_covariance,
-    measure_deviations,
-    number_free,
-)
+from calgraph.surfaces.sensor_states import BESIDE_POSE, DRIFT, SensorState, expand_covariance, number_free
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, max_good_stddev
 
 _ADVICE = "let people walk farther and in more directions between {} and {}"
@@ -101,16 +95,18 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
     """
     solution, start, root = result.solution, result.start, rig.reference
     names = list(start.states) if solution else [root]
+    at = names.index(root)
     states = solution.states if solution else [_start_alone(start.observed.get(root))]
-    alone = NetworkPoses((root,), np.eye(4)[None], np.zeros((6, 6)))
-    located = locate_sensors(names, solution) if solution else alone
-    verdicts = _grade_poses(rig, names, solution, result) if solution else {root: LONE_ROOT}
-    clocks = np.zeros((1, 2))
+    located = NetworkPoses((root,), np.eye(4)[None], np.zeros((6, 6)))
+    verdicts, clocks = {root: LONE_ROOT}, np.zeros((1, 2))
     if solution:
-        clocks = _relate_to(solution, names.index(root), -BESIDE_POSE)
-        sweep = np.array([start.observed[name].untimed for name in names])
-        # Times within a sweep without times of points are equally likely.
-        clocks[:, 1] = np.sqrt(clocks[:, 1] ** 2 + (sweep**2 + sweep[names.index(root)] ** 2) / 12)
+        located = locate_sensors(names, solution)
+        verdicts = _grade_poses(rig, names, solution, result.observed, result.findings)
+        clocks = _relate_to(solution, at, -BESIDE_POSE, [one.clock_offset for one in states])
+        sweep = np.array([start.observed[name].untimed_sweep for name in names])
+        # Stamps without times of points are of the begin or the end of a sweep, and people anywhere in it: their
+        # times are equally likely from a sweep before the stamp to a sweep after it.
+        clocks[:, 1] = np.sqrt(clocks[:, 1] ** 2 + (sweep**2 + sweep[at] ** 2) / 3)
     initial = start.initialization
     inliers = initial.graph.select_edges(initial.solution.inliers)
     parents = find_parents(inliers, initial.names)
@@ -132,8 +128,8 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         )
     T_first_world = se3.inverse(states[0].T_root_sensor)
     planar = _project_poses(names, states, result.observed)
-    pairs = [(initial.names[a], initial.names[b]) for a, b in inliers.edges.tolist() if solution]
-    poses = {(a, b): (planar[a], planar[b]) for a, b in pairs}
+    pairs = [(initial.names[a], initial.names[b]) for a, b in inliers.edges.tolist()]
+    poses = {(a, b): (planar[a], planar[b]) for a, b in pairs} if solution else {}
     tracked: dict[str, ScannerTracks | Rejected] = {
         name: one if isinstance(one, Rejected) else start.corrected.tracked[name]
         for name, one in result.observed.items()
@@ -149,7 +145,7 @@ def assemble_space(rig: Rig, result: SpaceResult) -> Calibration:
         root=names[0],
         sensors=tuple(sensors),
         joint_covariance=located.covariance,
-        systematic=_list_drifts(names, solution, names.index(root)) if solution else (),
+        systematic=_list_drifts(names, solution, at) if solution else (),
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
@@ -201,7 +197,11 @@ def _explain_unconnected(
         reason = explain_unconnected(root, root, tracked, pairs)
         return f"is connected to {others}, but the root {root} is not: {reason}; {_WALK_IN}"
     reason = explain_unconnected(name, root, tracked, pairs)
-    return f"{reason}; {_WALK_IN}" if isinstance(tracked[name], ScannerTracks) else reason
+    one, observed = tracked[name], start.observed.get(name)
+    if not isinstance(one, ScannerTracks):
+        return reason
+    by_vehicles = observed is not None and observed.vehicles and not one.tracks
+    return f"{'measured vehicles, but ' if by_vehicles else ''}{reason}; {_WALK_IN}"
 
 
 def locate_sensors(names: Sequence[str], solution: SpaceSolution, covariance: Array | None = None) -> NetworkPoses:
@@ -214,64 +214,70 @@ def locate_sensors(names: Sequence[str], solution: SpaceSolution, covariance: Ar
     return NetworkPoses(tuple(names), T_first_world @ T, turned @ whole[np.ix_(pose, pose)] @ turned.T)
 
 
-def _relate_to(solution: SpaceSolution, root: int, column: int) -> Array:
-    """(S, 2) a number of the states, by its column, less that of the root, and its standard deviation."""
+def _relate_to(solution: SpaceSolution, root: int, column: int, numbers: Sequence[float]) -> Array:
+    """(S, 2) numbers of the states less that of the root, and their standard deviations, by their column."""
     covariance = expand_covariance(solution.covariance, solution.free)
     rows = np.arange(solution.free.size).reshape(solution.free.shape)[:, column]
     covariance = covariance[np.ix_(rows, rows)]
-    number = measure_deviations(solution.states, [SensorState(np.eye(4))] * len(rows))[:, column]
     variance = np.diag(covariance) - 2 * covariance[root] + covariance[root, root]
-    return np.column_stack([number - number[root], np.sqrt(np.maximum(variance, 0.0))])
+    return np.column_stack([np.subtract(numbers, numbers[root]), np.sqrt(np.maximum(variance, 0.0))])
 
 
 def _grade_poses(
-    rig: Rig, names: Sequence[str], solution: SpaceSolution, result: SpaceResult
+    rig: Rig,
+    names: Sequence[str],
+    solution: SpaceSolution,
+    observed: Mapping[str, SpaceObservations | Rejected],
+    findings: Sequence[Finding],
 ) -> dict[str, Verdict]:
     """Verdicts on the poses relative to the root of the rig: a sensor, or the floor below the first."""
     root, settings = rig.reference, rig.settings.diagnostics.verdict
-    stated = names.index(root)
-    level = number_free(solution.free)[stated, _LEVEL_AXES] if stated else np.zeros(0, dtype=np.intp)
+    at, by_scanner = names.index(root), rig.sensors[root].kind == "lidar2d"
+    level = number_free(solution.free)[at, LEVELLING] if by_scanner else np.zeros(0, dtype=np.intp)
     exact = condition_on(solution.with_ranges, level)
     found, known, without_root = (
-        _express_in_root(rig, locate_sensors(names, solution, covariance), result, floor=floor)
-        for covariance, floor in ((solution.covariance, 1.0), (solution.with_ranges, 1.0), (exact, 0.0))
+        _express_in_root(rig, locate_sensors(names, solution, covariance), observed, floor=floor)
+        for covariance, floor in ((solution.covariance, True), (solution.with_ranges, True), (exact, False))
     )
-    by_sensor = collect_findings(result.findings)
-    of_all = by_sensor.get(root, []) if stated else []
+    advice = {
+        _RANGES: _RANGE_ADVICE,
+        _FLOOR: _FLOOR_ADVICE.format(names[0]),
+        _OF_ROOT: _LEVEL_ADVICE.format(f"the root {root}") + _ROOT_ADVICE,
+    }
+    by_stated = dict.fromkeys((_RANGES, _FLOOR, _STATED), _LEVEL_ADVICE.format("a 2-D scanner"))
+    by_sensor = collect_findings(findings)
+    # What makes the root weak makes all poses relative to it weak.
+    of_all = by_sensor.get(root, [])
     verdicts = {rig.root: Verdict("good")}
     for name in found.names[1:]:
         k, rows = names.index(name), np.ix_(*[found.covariance_rows([name])] * 2)
         kind, T = rig.sensors[name].kind, found.T_root_scanner[found.names.index(name)]
         stddev, rest, least = (stddev_along_axes(T, one.covariance[rows]) for one in (found, known, without_root))
         shares = {_RANGES: 1 - (rest / stddev) ** 2}
-        if stated or rig.is_on_floor:
-            shares[_OF_ROOT if stated else _FLOOR] = (rest**2 - least**2) / stddev**2
+        if by_scanner or rig.is_on_floor:
+            shares[_OF_ROOT if by_scanner else _FLOOR] = (rest**2 - least**2) / stddev**2
         worst = int(np.argmax(stddev / max_good_stddev(rig.tolerance, settings)))
         is_stated = kind == "lidar2d" and worst in _LEVEL_AXES
         shares[_STATED if is_stated else _REST] = 1 - np.sum(list(shares.values()), axis=0)
-        advice = {
-            _RANGES: _RANGE_ADVICE,
-            _FLOOR: _FLOOR_ADVICE.format(names[0]),
-            _OF_ROOT: _LEVEL_ADVICE.format(f"the root {root}") + _ROOT_ADVICE,
-        }
-        if is_stated:
-            advice |= {one: _LEVEL_ADVICE.format("a 2-D scanner") for one in (_RANGES, _FLOOR, _STATED)}
+        advised = advice | by_stated if is_stated else advice
         largest = max(shares, key=lambda source: float(shares[source][worst]))
         reasons = dict.fromkeys([*by_sensor.get(name, ()), *of_all])
         verdicts[name] = grade_pose(
             name, kind, T, found.covariance[rows],
-            [*reasons, *(_find_contradictions(solution, k, stated) if k != stated else ())],
+            [*reasons, *(_find_contradictions(solution, k, at) if k != at else ())],
             tolerance=rig.tolerance, settings=settings,
             data=_REST,
-            advice=advice.get(largest) or _advise_walks(names, solution, k),
+            advice=advised.get(largest) or _advise_walks(names, solution, k),
             shares=shares,
         )  # fmt: skip
     return verdicts
 
 
-def _express_in_root(rig: Rig, poses: NetworkPoses, result: SpaceResult, *, floor: float) -> NetworkPoses:
-    """The poses in the frame of the root of the rig; if that is the floor, with a factor of its covariance."""
-    reference = result.observed[poses.names[0]]
+def _express_in_root(
+    rig: Rig, poses: NetworkPoses, observed: Mapping[str, SpaceObservations | Rejected], *, floor: bool
+) -> NetworkPoses:
+    """The poses in the frame of the root of the rig; if that is the floor, with or without its covariance."""
+    reference = observed[poses.names[0]]
     if rig.is_on_floor and isinstance(reference, SpaceObservations):
         T = reference.T_floor_sensor
         return poses.place(rig.root, T, floor * spread_floor(T, reference.floor_covariance))
@@ -293,13 +299,12 @@ def _find_contradictions(solution: SpaceSolution, k: int, root: int) -> list[str
     reasons = []
     if solution.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint solution has not converged")
-    for sensor, reason in (
-        (k, "no person or vehicle was measured by it and another sensor at the same time and place"),
-        (root, "no person or vehicle was measured by the root and another sensor at the same time and place"),
-    ):
+    for sensor, name in ((k, "it"), (root, "the root")):
         by_persons = any(sensor in one.sensors for one in solution.persons)
         if not by_persons and not any(sensor in one.sensors for one in solution.vehicles):
-            reasons.append(reason)
+            reasons.append(
+                f"no person or vehicle was measured by {name} and another sensor at the same time and place"
+            )
     agree = (solution.agreement >= _MIN_AGREEMENT) & (solution.balance >= _MIN_BALANCE)
     connected = label_parts(len(solution.states), np.argwhere(agree))
     if connected[root] != connected[k]:
@@ -311,12 +316,15 @@ def _find_contradictions(solution: SpaceSolution, k: int, root: int) -> list[str
 
 
 def _list_drifts(names: Sequence[str], solution: SpaceSolution, root: int) -> tuple[EstimatedParameter, ...]:
-    """Of the clocks that may drift from that of the root."""
-    prior = np.hypot(solution.prior[:, -TIMING], solution.prior[root, -TIMING])
-    rows = zip(names, prior.tolist(), _relate_to(solution, root, -TIMING).tolist(), strict=True)
+    """The drifts of the clocks that may drift from that of the root."""
+    prior = np.hypot(solution.prior[:, DRIFT], solution.prior[root, DRIFT])
+    found = _relate_to(solution, root, DRIFT, [one.timing[0] for one in solution.states])
+    # The scatter of clusters widens what the prior determines as well.
+    found[:, 1] = np.minimum(found[:, 1], prior)
+    rows = zip(names, prior.tolist(), found.tolist(), strict=True)
     return tuple(
-        EstimatedParameter(name, "clock drift", "", 0.0, stated, *found)
-        for k, (name, stated, found) in enumerate(rows)
+        EstimatedParameter(name, "clock drift", "", 0.0, stated, *estimate)
+        for k, (name, stated, estimate) in enumerate(rows)
         if stated > 0 and k != root
     )
 

@@ -71,6 +71,6 @@ class SpaceObservations:
     """Which are used where people do not connect a network."""
     flat: bool = False
     """Whether it is a 2-D scanner: its points are of one plane in space, and show no surface by themselves."""
-    untimed: float = 0.0
+    untimed_sweep: float = 0.0
     """Time of a sweep without times of points, s: what it measured is up to that much later, or earlier, than its
     stamp; 0 with times."""

@@ -9,14 +9,9 @@ from calgraph.config import Cylinder, Lidar2dSpec, Lidar2dUncertainty, Lidar3dSp
 from calgraph.config.settings import TrackingSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
-from calgraph.network.checks.extension import (
-    EARLIER_WEIGHT,
-    build_consistent_prior,
-    extract_earlier_poses,
-    merge_with_earlier,
-)
+from calgraph.network.checks.extension import EARLIER_WEIGHT, build_consistent_prior, merge_with_earlier
 from calgraph.network.checks.findings import collect_network_findings
-from calgraph.network.joint.planar_poses import ScannerPrior
+from calgraph.network.joint.planar_poses import ScannerPrior, extract_poses
 from calgraph.network.options import NetworkOptions
 from calgraph.network.space.assemble import SpaceResult, assemble_space, locate_sensors
 from calgraph.network.space.bodies import find_bodies
@@ -103,7 +98,8 @@ def calibrate_in_space(
     scanners = {name: one for name, one in tracked.items() if isinstance(one, ScannerTracks)}
     measured = {name: one for name, one in observed.items() if isinstance(one, SpaceObservations)}
     solved, start = _start(rig, references, measured, scanners, earlier, options, progress)
-    findings = [*findings, *monitor.findings(), *found, *_describe_steps(solved, measured, recording.start)]
+    findings = [*findings, *monitor.findings(), *found]
+    findings += _describe_steps(solved.root, list(start.states), measured, recording.start)
     findings += _describe_untimed(measured)
     findings += start.corrected.findings
     findings += collect_network_findings(rig.root, tracked, start.initialization, recording.start)
@@ -114,8 +110,7 @@ def calibrate_in_space(
             solution = _solve(solved, start, engine, progress)
             if earlier is not None:
                 earlier = express_in_reference(earlier, solved.root)
-                poses = extract_earlier_poses(earlier, solved.root, in_space=True)
-                found_poses = locate_sensors(names, solution)
+                poses, found_poses = extract_poses(earlier), locate_sensors(names, solution)
                 prior = build_consistent_prior(poses, found_poses, rig.reference, rig.settings.diagnostics)
                 solution = _solve(solved, start, engine, progress, prior).scale_covariance(1 / EARLIER_WEIGHT)
         findings += describe_changes(solution.changes, names, rig.root, solution.begin)
@@ -151,17 +146,19 @@ def _start(
     candidates = [name for name in references if name in measured] or list(references[:1])
     tried: set[str] = set()
     for name in candidates:
-        if name not in tried:
-            solved = rig.model_copy(update={"root": name})
-            if earlier is not None and name in measured:
-                # Poses over the floor show which scanners are upside-down.
-                level = express_on_floor(express_in_reference(earlier, name), measured[name])
-                options = replace(options, extend=level)
-            rng = np.random.default_rng(options.seed)
-            start = start_in_space(solved, measured, scanners, options, rng, progress)
-            tried |= set(start.states)
-            if rig.reference in tried:
-                break
+        # What is connected to one of them is not to the root: others are tried only if the first is not.
+        if name in tried:
+            continue
+        solved = rig.model_copy(update={"root": name})
+        level = earlier
+        if earlier is not None and name in measured:
+            # Poses over the floor show which scanners are upside-down.
+            level = express_on_floor(express_in_reference(earlier, name), measured[name])
+        rng = np.random.default_rng(options.seed)
+        start = start_in_space(solved, measured, scanners, replace(options, extend=level), rng, progress)
+        if rig.reference in start.states:
+            return solved, start
+        tried |= set(start.states)
     return solved, start
 
 
@@ -245,13 +242,22 @@ def _scanning_spec(name: str, spec: SensorSpec) -> Lidar2dSpec | Lidar3dSpec:
     return spec
 
 
-def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: float) -> list[Finding]:
-    """A finding for each sensor that moved during the recording."""
+def _describe_steps(
+    root: str, names: Sequence[str], measured: Mapping[str, SpaceObservations], begin: float
+) -> list[Finding]:
+    """A finding for each LiDAR that moved during the recording.
+
+    Args:
+        root: the LiDAR against which the network is solved: if it moved, all poses are weak.
+        names: of the connected sensors, 2-D scanners included.
+        measured: by LiDAR.
+        begin: of the recording, s.
+    """
     return [
         Finding(
             f"{name} moved {one.step.time - begin:.0f} s from the start, by {1000 * one.step.shift:.1f} mm and "
             f"{np.degrees(one.step.turn):.2f}° relative to what stands still: fix it firmly, and record again",
-            tuple(measured) if name == rig.root else (name,),
+            tuple(names) if name == root else (name,),
         )
         for name, one in measured.items()
         if one.step is not None
@@ -259,11 +265,14 @@ def _describe_steps(rig: Rig, measured: Mapping[str, SpaceObservations], begin: 
 
 
 def _describe_untimed(measured: Mapping[str, SpaceObservations]) -> list[Finding]:
-    """A finding about the sensors whose points have no times; poses are averages over directions of walks."""
-    names = [name for name, one in measured.items() if one.untimed]
+    """A finding about the sensors whose points have no times, which makes none of them weak."""
+    names = [name for name, one in measured.items() if one.untimed_sweep]
     if not names:
         return []
-    longest = max(measured[name].untimed for name in names)
+    longest = max(measured[name].untimed_sweep for name in names)
+    # Times are wrong by the same at each azimuth, and what stands still needs none. In four halls with LiDARs of 32
+    # rings, 60 s have errors of 2 to 15 mm at standard deviations of 14 to 30 mm, and their squares are 0.1 to 1.4
+    # of the covariance. In two where all walk one way these are 0.6 to 1.5 after 30 s, with 2.4 deviations at most.
     return [
         Finding(
             f"clouds of {', '.join(names)} have no times of points, which are up to a sweep "
@@ -327,5 +336,5 @@ def observe_clouds(
         )
     return SpaceObservations(
         floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step,
-        vehicles, untimed=split.untimed,
+        vehicles, untimed_sweep=split.untimed_sweep,
     )  # fmt: skip

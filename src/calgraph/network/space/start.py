@@ -154,7 +154,10 @@ def start_in_space(
         return start
     people = {name: corrected.tracked[name] for name in driven}
     added = ", ".join(name for name in other.states if name not in start.states)
-    remark = Finding(f"vehicles connect {added} to the others: people do not")
+    remark = Finding(
+        f"vehicles connect {added} to the others: people do not; let people walk between them, which determines "
+        "poses better"
+    )
     complete = replace(
         other.corrected,
         tracked={**other.corrected.tracked, **people},

@@ -152,7 +152,7 @@ class SplitClouds:
     """(W, 2) begin and end of the intervals in which it measured, s."""
     step: StaticStep | None
     """When the sensor moved, if it did."""
-    untimed: float
+    untimed_sweep: float
     """As of :class:`SpaceObservations`."""
 
 
@@ -238,6 +238,7 @@ class CloudSplitter:
             _fill_view(self._cells, of_slot),
             _find_coverage(np.sort(stamps + first), np.sort(stamps + last)),
             find_step(static, count, total, stamps[::_PERIOD]),
+            # LiDARs that flash have none either: their stamps may be of the time before a flash, or after it.
             0.0 if duration > 0 else period,
         )
 
