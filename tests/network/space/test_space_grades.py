@@ -24,7 +24,7 @@ from calgraph.network.space.start import SpaceStart
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result import Verdict
 from calgraph.result.finding import Finding
-from calgraph.surfaces.sensor_states import DRIFT
+from calgraph.surfaces.sensor_states import DRIFT, number_free
 from network.space.space_scenes import build_scene, perturb, prior_of
 
 LIDARS, SCANNER = ("lidar_0", "lidar_1"), "scanner_2"
@@ -74,6 +74,7 @@ def test_a_lidar_that_others_are_relative_to_makes_all_weak_if_it_moved(root: st
     for moved, weak in ((LIDARS[0], {*NAMES} - {root}), (LIDARS[1], {LIDARS[1]})):
         measured = {name: replace(observed[name], step=step if name == moved else None) for name in LIDARS}
         (finding,) = _describe_steps(LIDARS[0], NAMES, measured, 0.0)
+        assert finding.sensors == (NAMES if moved == LIDARS[0] else (moved,))
         verdicts = grade(rig_of(root), finding)
         named = {name for name, one in verdicts.items() if "moved 10 s from the start" in one.reason}
         assert named == weak
@@ -104,17 +105,29 @@ def test_the_largest_source_of_errors_is_that_of_the_root() -> None:
         assert "that a 2-D scanner measures do not show its height" in verdicts[SCANNER].reason
 
 
-def test_the_root_is_the_largest_source_of_another_scanner_whose_height_is_known() -> None:
-    """What is left of the height of that one is what is stated of itself."""
-    reason = grade(rig_of(SCANNER, LIDARS[1], tolerance=1e-4))[LIDARS[1]].reason
-    assert "stated height and tilt of the root (100 %)" in reason
-    assert f"that the root {SCANNER} measures do not show its height, roll and pitch" in reason
+@pytest.mark.parametrize(
+    ("stddev", "source", "of"),
+    [(0.0, "tilt of the root (100 %)", f"the root {SCANNER}"), (0.2, "tilt (", "a 2-D scanner")],
+)
+def test_the_heights_of_two_scanners_are_two_sources(stddev: float, source: str, of: str) -> None:
+    """That of the root is known to 5 cm and half a degree; that of another one to 1 mm, or to 0.2 m."""
+    observed, solution = solved()
+    height = np.zeros(len(solution.covariance))
+    height[number_free(solution.free)[1, 2]] = stddev
+    covariance, with_ranges = (
+        one + np.outer(height, height) for one in (solution.covariance, solution.with_ranges)
+    )
+    changed = replace(solution, covariance=covariance, with_ranges=with_ranges)
+    rig = rig_of(SCANNER, LIDARS[1], tolerance=1e-4)
+    reason = _grade_poses(rig, NAMES, changed, observed, ())[LIDARS[1]].reason
+    assert f"stated height and {source}" in reason
+    assert f"that {of} measures do not show its height, roll and pitch" in reason
 
 
 def test_sensors_without_common_people_are_named() -> None:
     """As if LiDARs alone measured people."""
     _, solution = solved()
-    alone = replace(solution, persons=[replace(one, sensors=(0, 1)) for one in solution.persons])
+    alone = replace(solution, persons=[replace(one, sensors=np.array([0, 1])) for one in solution.persons])
     text = "no person or vehicle was measured by {} and another sensor at the same time and place"
     assert text.format("it") in _find_contradictions(alone, 2, 0)
     assert text.format("the root") in _find_contradictions(alone, 1, 2)
