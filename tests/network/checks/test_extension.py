@@ -109,8 +109,12 @@ def sample_extension(correlation: float) -> tuple[Array, Array]:
 
 
 def extend_by(factors: Array) -> Array:
-    """Covariance (9, 9) of an extension that adds little, whose variances tests enlarge by factors (3,)."""
-    poses = four_scanners(np.random.default_rng(3))
+    """Covariance (9, 9) of an extension that adds little, whose variances tests enlarge by factors (3,).
+
+    Errors of its scanners are nearly the same, by 1 cm and 10 mrad.
+    """
+    common = np.kron(np.ones((3, 3)) + 0.05 * np.eye(3), 1e-4 * np.eye(3))
+    poses = replace(four_scanners(np.random.default_rng(3)), covariance=np.pad(common, (3, 0)))
     prior = build_scanner_prior(poses, ("a", "b", "c"))
     scale, spread = np.repeat(np.sqrt(factors), 3), np.zeros((9, 9))
     spread[3:, 3:] = np.linalg.inv(1.01 * prior.information) / EARLIER_WEIGHT
