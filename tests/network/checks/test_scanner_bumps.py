@@ -59,6 +59,12 @@ def test_all_poses_are_weak_if_the_root_has_moved_since() -> None:
     assert describe("west", tracks((BUMP,), (START, START + 29.9))).sensors == ("west", "east", "north")
 
 
+def test_the_root_of_the_result_may_be_any_scanner() -> None:
+    followed = {"west": tracks(), "east": tracks((BUMP,), (START, START + 29.9))}
+    (finding,) = describe_bumps("east", followed, START)
+    assert finding.sensors == ("west", "east")
+
+
 def test_several_bumps_are_one_finding() -> None:
     later = ScannerBump((START + 40.0, START + 41.0), 0.1, 0.0, 0.002, 0.001)
     assert describe("east", tracks((BUMP, later), (START + 41.2, np.inf))).text.count(" mm and ") == 2
