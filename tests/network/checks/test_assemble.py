@@ -232,10 +232,9 @@ def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> N
     )
 
 
-def test_a_sensor_that_measured_vehicles_only_has_no_number_of_tracks() -> None:
-    """Those without tracks of people and vehicles are rejected before."""
-    driven = replace(build_tracks(0), tracks=())
+def test_a_sensor_without_tracks_has_no_number_of_them() -> None:
+    empty = replace(build_tracks(0), tracks=())
     pairs: ScannerPairs = {("west", "hall"): Rejected("too few")}
-    assert explain_unconnected("hall", "west", {"west": build_tracks(1), "hall": driven}, pairs) == (
-        "measured vehicles, but no person; west: too few"
+    assert explain_unconnected("hall", "west", {"west": build_tracks(1), "hall": empty}, pairs) == (
+        "no person was tracked; west: too few"
     )

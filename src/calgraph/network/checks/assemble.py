@@ -288,7 +288,7 @@ def explain_unconnected(
     reasons = "; ".join([*stated, *more])
     count = len(tracks.tracks)
     if not count:
-        return f"measured vehicles, but no person; {reasons or 'no other sensor has any'}"
+        return f"no person was tracked; {reasons or 'no other sensor has any'}"
     return f"has {count} track{'s' * (count != 1)}, but {reasons or 'no other sensor has any'}"
 
 
@@ -456,17 +456,17 @@ def _assess_walk(
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
-        return False, "its scanner is not calibrated", None
+        return False, "its sensor is not calibrated", None
     d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
     if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
+        return False, f"another sensor detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,
-            f"other scanners detected people at that time, but not within {MAX_DISTANCE:g} m of it",
+            f"other sensors detected people at that time, but not within {MAX_DISTANCE:g} m of it",
             None,
         )
     return False, "no other sensor detected a person at that time", None
