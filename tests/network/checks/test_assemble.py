@@ -130,9 +130,12 @@ def test_without_a_joint_solution_clocks_are_those_of_the_pairs() -> None:
 
 
 def test_averaged_poses_have_the_variances_of_their_pairs_times_a_factor() -> None:
-    of_pairs, wider = (assemble(joint=False, averaged_variance=one).joint_covariance for one in (1.0, 3.0))
-    assert np.diag(of_pairs)[6:8].all()
-    np.testing.assert_allclose(wider, 3 * of_pairs)
+    of_pairs, wider = (assemble(joint=False, averaged_variance=one) for one in (1.0, 3.0))
+    assert np.diag(of_pairs.joint_covariance)[6:8].all()
+    np.testing.assert_allclose(wider.joint_covariance, 3 * of_pairs.joint_covariance)
+    for before, after in zip(of_pairs.sensors[1:], wider.sensors[1:], strict=True):
+        assert before.clock_offset_stddev is not None
+        assert after.clock_offset_stddev == pytest.approx(np.sqrt(3) * before.clock_offset_stddev)
 
 
 def test_parents_follow_the_edges_with_the_most_information() -> None:

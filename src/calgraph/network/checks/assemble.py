@@ -85,7 +85,7 @@ def assemble_network(
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses and clocks replace the averaged ones.
         findings: what does not fit the rig in the messages of the recording, and what contradicts the solution.
-        averaged_variance: variances of averaged poses over those of their pairs.
+        averaged_variance: variances of averaged poses and clocks over those of pairs; 1 with a joint solution.
         clock_offset: by which the times of tracks were corrected, s.
         inverted: scanners whose tracks were mirrored, as they are mounted the other way up than the root.
     """
@@ -106,6 +106,7 @@ def assemble_network(
         if joint is None
         else joint.pose_covariance
     )
+    clocks[:, 1] *= np.sqrt(averaged_variance)
     clocks[:, 0] += [clock_offset.get(name, 0.0) for name in names]
     # A rotation by 180° about the x axis of the mirrored frame.
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
