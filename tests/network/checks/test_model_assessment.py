@@ -177,8 +177,9 @@ def test_the_difference_is_a_source_of_its_own_that_no_longer_recording_reduces(
 
 
 def test_a_refuted_solution_that_stays_contains_its_difference_from_averaged_pairs() -> None:
-    found = assess(with_noise_at_limit(), averaging_error=0.2, replaceable=False)
-    np.testing.assert_allclose(np.diag(covariance_of(found)), 0.2**2 / 6 - PAIR_SIGMA**2, rtol=2e-3)
+    """Also where averages alone do not contradict it, 7 cm of 2 cm over six axes."""
+    found = assess(with_noise_at_limit(), averaging_error=0.07, replaceable=False)
+    np.testing.assert_allclose(np.diag(covariance_of(found)), 0.07**2 / 6 - PAIR_SIGMA**2, rtol=2e-3)
     assert found.averaged_variance == 1.0
 
 
