@@ -24,6 +24,8 @@ def test_the_conda_recipe_has_the_versions_and_dependencies_of_the_project() -> 
     recipe = YAML(typ="safe").load((ROOT / "packaging/conda/recipe.yaml").read_text(encoding="utf-8"))
     assert recipe["context"]["version"] == PROJECT["version"]
     needed = [Requirement(one) for one in PROJECT["dependencies"]]
+    # The recipe has no such conditions.
+    assert not any(one.marker or one.extras for one in needed)
     bounds = {one.name: ",".join(sorted(map(str, one.specifier), reverse=True)) for one in needed}
     expected = {f"{NAMES_OF_CONDA.get(name, name)} {bound}" for name, bound in bounds.items()}
     assert set(recipe["requirements"]["run"]) == {f"python {PROJECT['requires-python']}", *expected}

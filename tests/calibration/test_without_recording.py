@@ -11,6 +11,8 @@ from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
+from calgraph.network.checks.model_assessment import ModelAssessment
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network, calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
@@ -114,6 +116,33 @@ def test_the_error_budget_of_a_network_adds_up_to_its_covariance() -> None:
     np.testing.assert_allclose(relative.sum(axis=0), found.covariance("scanner_2", "scanner_3"), rtol=1e-6)
     variances = np.sum(found.budget.stddev**2, axis=0)
     np.testing.assert_allclose(variances, [one.axis_stddev**2 for one in found.sensors], rtol=1e-9)
+
+
+def test_averaged_poses_that_replace_others_contain_the_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    replaced = ModelAssessment(None, averaged_variance=9.0)
+    monkeypatch.setattr("calgraph.network.pipeline.assess_network_model", lambda *_, **__: replaced)
+    found = calibrate_network(SCANNERS, MessageRecording(scans()[0]), NetworkOptions())
+    averaged = calibrate_network(SCANNERS, MessageRecording(scans()[0]), NetworkOptions(estimator="averaging"))
+    np.testing.assert_allclose(found.joint_covariance, 9 * averaged.joint_covariance)
+
+
+def test_what_tests_add_to_variances_is_no_error_of_what_is_extended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The covariance with a kept scanner, which the same data halve at most."""
+    two = SCANNERS.model_copy(update={"sensors": {k: v for k, v in SCANNERS.sensors.items() if k != "scanner_3"}})
+    sent = MessageRecording({name: scans()[0][name] for name in two.sensors})
+    measured = np.ix_([6, 7, 11], [12, 13, 17])
+
+    def extend(factor: float) -> Array:
+        def assess(joint: NetworkSolution, *_: object, **__: object) -> ModelAssessment:
+            return ModelAssessment(joint.scale_covariance(factor, "scatter of parts"))
+
+        monkeypatch.setattr("calgraph.network.pipeline.assess_network_model", assess)
+        return calibrate_network(two, sent, NetworkOptions(extend=calibrate_scans())).joint_covariance
+
+    earlier, plain, enlarged = calibrate_scans().joint_covariance, extend(1.0), extend(10.0)
+    np.testing.assert_allclose(enlarged[measured], plain[measured], rtol=1e-6)
+    np.testing.assert_allclose(enlarged[6:8, 6:8], 10 * plain[6:8, 6:8])
+    assert 0.5 < np.linalg.norm(plain[measured]) / np.linalg.norm(earlier[measured]) < 1
 
 
 def test_averaged_poses_have_no_error_budget(rng: np.random.Generator) -> None:

@@ -31,8 +31,9 @@ def test_commands_calibrate_a_mixed_network_in_the_frame_of_a_scanner(run: Run, 
     )
     assert made.exit_code == 0, made.output
     rig, recording, result = tmp_path / "hall" / "rig.yaml", tmp_path / "hall" / "recording", tmp_path / "result"
-    text = rig.read_text().replace("tilt: 2.0", "tilt: 0.2")
-    rig.write_text(text.replace("root: lidar_1", "root: scanner_1"))
+    text = rig.read_text()
+    assert text.count("tilt: 2.0") == text.count("root: lidar_1") == 1
+    rig.write_text(text.replace("tilt: 2.0", "tilt: 0.2").replace("root: lidar_1", "root: scanner_1"))
     calibrated = run("calibrate", rig, recording, "-o", result)
     assert calibrated.exit_code == 0, calibrated.output
     assert "Poses in the frame of scanner_1" in calibrated.output

@@ -52,7 +52,7 @@ def test_captures_that_suffice_are_stated(rig: Path, run: Run) -> None:
     result = run("plan", rig, "--captures", 300)
     assert result.exit_code == 0, result.output
     assert "Predicted errors of 300 captures" in result.output
-    assert "captures suffice for all sensors" in result.output
+    assert "captures suffice for all sensors, with a reserve of 10 % if possible" in result.output
     assert "cannot help" not in result.output
 
 

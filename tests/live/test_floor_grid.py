@@ -90,6 +90,9 @@ def at(grid: FloorGrid, cells: Cells, x: float, y: float) -> bool:
         ("the joint solution has not converged", True),
         ("x ±20 mm exceeds the tolerance; the largest source of it: walks (90 %); let people walk farther", True),
         ("x ±20 mm exceeds the tolerance; the largest source of it: range errors (90 %); measure ranges", False),
+        ("x ±20 mm; the largest source of it: noise (90 %); record 60 s more of people who walk like these", True),
+        ("matches, too: let people walk alone; the largest source of it: range errors (90 %); measure it", True),
+        ("of people who walk so: set clocks; the largest source of it: range errors (90 %); measure it", False),
     ],
 )
 def test_people_are_to_walk_where_that_helps(reason: str, helped: bool) -> None:

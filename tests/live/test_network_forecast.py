@@ -23,7 +23,7 @@ def forecast(*solutions: LiveNetworkSolution) -> float | None:
     found = Forecast(LiveNetworkSettings())
     for one in solutions:
         found.add(one)
-    return found.minutes_left()
+    return found.minutes_left([one.name for one in solutions[-1].posed] if solutions else [])
 
 
 def test_uncertainties_fall_with_the_root_of_the_time() -> None:
@@ -32,6 +32,12 @@ def test_uncertainties_fall_with_the_root_of_the_time() -> None:
 
 def test_the_worst_scanner_counts() -> None:
     assert forecast(solution(60, a=2, b=3, c=0.5)) == pytest.approx(8)
+
+
+def test_others_than_those_of_interest_do_not_count() -> None:
+    found = Forecast(LiveNetworkSettings())
+    found.add(solution(60, a=2, b=3))
+    assert found.minutes_left(["a"]) == pytest.approx(3)
 
 
 def test_a_slower_decay_is_measured() -> None:

@@ -161,9 +161,9 @@ def test_people_are_sent_to_scanners_that_have_detected_no_person(fed: Fed) -> N
     apart = SensorSolution("c", "lidar2d", reason="no object of the target's size was detected")
     fed.pool.finish(solution(9.0, posed("a", "good", 0.0), SensorSolution("b", "lidar2d", tracks=3), apart))
     state = fed.session.state()
-    assert state.headline == "Walk where c detects you, and on to where another scanner does"
+    assert state.headline == "Walk where c detects you, and on to where another sensor does"
     assert state.advice is not None
-    assert "b and another scanner both detect you" in state.advice.text
+    assert "b and another sensor both detect you" in state.advice.text
     assert "(no object of the target's size was detected)" in state.advice.text
 
 
@@ -172,7 +172,7 @@ def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
     weak = posed("b", "weak", 2.0, "±2 cm")
     fed.pool.finish(solution(60.0, posed("a", "good", 0.0), weak))
     state = fed.session.state()
-    assert state.headline == "Walk where several scanners detect you, for b: about 3 minutes more"
+    assert state.headline == "Walk where several sensors detect you, for b: about 3 minutes more"
     assert state.advice is not None
     assert state.advice.expected == "within tolerance in about 3 minutes"
     assert not state.done
@@ -181,7 +181,7 @@ def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
 @pytest.mark.parametrize(
     ("advice", "headline", "expected"),
     [
-        ("let people walk farther", "Walk where several scanners detect you, for b: about 3 minutes more", True),
+        ("let people walk farther", "Walk where several sensors detect you, for b: about 3 minutes more", True),
         ("measure it", "For b: measure it (the largest source: ranges (93 %))", False),
     ],
 )
@@ -196,6 +196,18 @@ def test_the_headline_has_the_remedy_of_the_largest_source(
     assert state.headline == headline
     assert state.advice is not None
     assert bool(state.advice.expected) == expected
+
+
+def test_walks_are_for_those_that_they_help(fed: Fed) -> None:
+    """No time is stated until all are within the tolerance, where that of one is not a matter of walks."""
+    fed.feed(60)
+    helped = posed("b", "weak", 2.0, "x ±20 mm; the largest source of it: walks (93 %); let people walk farther")
+    other = posed("c", "weak", 3.0, "x ±30 mm; the largest source of it: ranges (93 %); measure it")
+    fed.pool.finish(solution(60.0, posed("a", "good", 0.0), helped, other))
+    state = fed.session.state()
+    assert state.headline == "Walk where several sensors detect you, for b: about 3 minutes more"
+    assert state.advice is not None
+    assert state.advice.expected == ""
 
 
 def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:

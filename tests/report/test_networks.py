@@ -103,7 +103,7 @@ def test_ellipses_contain_95_percent_times_the_stated_factor(html: str) -> None:
 def test_visible_ellipses_are_to_scale(network: Calibration, network_rig: Rig) -> None:
     uncertain = dataclasses.replace(network, joint_covariance=100 * network.joint_covariance)
     html = render_report(uncertain, network_rig)
-    assert "the scanner's position with 95 % probability; drawn to scale." in unescape(words_of(html))
+    assert "the sensor's position with 95 % probability; drawn to scale." in unescape(words_of(html))
 
 
 def test_the_root_has_no_ellipse(html: str) -> None:
@@ -169,7 +169,7 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
         network.sensors[0],
         *(dataclasses.replace(network.sensors[1], name=f"s{k}", parent="hall") for k in range(29)),
     )
-    reason = "other scanners detected people at that time, but not within 0.5 m of it"
+    reason = "other sensors detected people at that time, but not within 0.5 m of it"
     rows = tuple(CaptureRow(n, n / 7, n / 7 + 5, f"s{n % 29}", n % 2 == 0, reason) for n in range(20_000))
     large = dataclasses.replace(
         network,

@@ -134,6 +134,17 @@ def test_an_unknown_scale_of_the_print_limits_cameras_with_any_number_of_capture
     assert exact.sensors[0].limit[0] < 0.002
 
 
+def test_the_reserve_is_of_what_captures_reduce() -> None:
+    """A limit near or within 10 % of the tolerance takes no more captures for that, where others decide."""
+    plans = [
+        plan_recording(describe_rig(two_cameras(print_scale=scale)), 40, np.random.default_rng(0))
+        for scale in (0.0138, 0.0146, 0.015, 0.0155)
+    ]
+    limits = [float((plan.sensors[0].limit / plan.max_stddev).max()) for plan in plans]
+    assert limits == pytest.approx([0.82, 0.86, 0.89, 0.92], abs=0.01)
+    assert len({plan.needed for plan in plans}) == 1
+
+
 def test_the_best_places_are_where_two_sensors_detect_the_board(world: World, plan: RecordingPlan) -> None:
     assert len(plan.places) == 6
     planned = describe(world, world_rig(world))

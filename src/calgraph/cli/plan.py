@@ -13,6 +13,7 @@ from calgraph.cli.console import console, make_table
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.io.text_writing import format_json
 from calgraph.verdict.grades import axis_names, describe_largest
+from calgraph.verdict.remedy_choice import PROMISED_SHARE
 
 if TYPE_CHECKING:
     from calgraph.geometry import Array
@@ -117,7 +118,8 @@ def _print(found: "RecordingPlan", planned: "PlannedRig") -> None:
     if len(impossible) < len(found.sensors):
         others = "all sensors" if not impossible else "the others"
         enough = f"{found.needed} captures suffice" if found.needed else "500 captures do not suffice"
-        output.print(f"[bold]{enough}[/] for {others}")
+        reserve = f", with a reserve of {100 * (1 - PROMISED_SHARE):.0f} % if possible" if found.needed else ""
+        output.print(f"[bold]{enough}[/] for {others}{reserve}")
     output.print(
         "[bold]Best places of the board[/], each in addition to those before; others all over the common view"
     )

@@ -102,7 +102,7 @@ def draft_rig(
             f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
         )
     board = not (drive or network)
-    # Of a network, the first is a LiDAR, which measures the floor.
+    # Of a network, the first is a 3-D LiDAR, which measures the floor.
     roots = [one.name for one in sensors if not network or one.topic.kind in ("lidar3d", "lidar2d")]
     recorded = [topic.name for one in sensors for topic in (one.topic, one.info) if topic and board]
     has_ros_topics = any("/" in one.topic.type for one in sensors)

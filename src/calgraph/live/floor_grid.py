@@ -28,8 +28,7 @@ class FloorGrid:
     walked: Cells
     """(X, Y) where people walked."""
     wanted: Cells
-    """(X, Y) where they should still walk, in views that scanners which walks bring nearer to the tolerance share
-    with others."""
+    """(X, Y) where they should still walk: in views that others share, of scanners whose poses walks improve."""
     walls: Array
     """(W, 2) points of the static background, m."""
 
@@ -73,9 +72,12 @@ def build_floor_grid(calibration: Calibration) -> FloorGrid | None:
 
 
 def is_helped_by_walks(reason: str) -> bool:
-    """Whether the reason of a verdict advises to have people walk, or names no source of the errors."""
+    """Whether the reason of a verdict names no source of the errors, or advises to have people walk.
+
+    Advice on sources is the last clause; findings, which come before, may have their own.
+    """
     clauses = split_clauses(reason)
-    return not any(map(names_sources, clauses)) or "people w" in clauses[-1]
+    return not any(map(names_sources, clauses)) or "let people" in reason or "people who walk" in clauses[-1]
 
 
 def _place_on_plan(calibration: Calibration, name: str) -> Array:

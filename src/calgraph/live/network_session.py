@@ -50,17 +50,14 @@ class Forecast:
             self._history.pop()
         self._history.append((duration, uncertainties))
 
-    def minutes_left(self) -> float | None:
-        """Until the uncertainties of all scanners with a pose are within tolerance, min; 0 if they are.
+    def minutes_left(self, names: Sequence[str]) -> float | None:
+        """Until the uncertainties of sensors, which have a pose, are within tolerance, min; 0 if they are.
 
-        None if that is unknown: no scanner has a pose, the time is too long, or the uncertainty of one falls
-        too slowly.
+        None if that is unknown: there are none, the time is too long, or the uncertainty of one falls too slowly.
         """
-        if not self._history or not self._history[-1][1]:
-            return None
-        minutes = [self._minutes_left(name) for name in self._history[-1][1]]
+        minutes = [self._minutes_left(name) for name in names]
         known = [one for one in minutes if one is not None]
-        return max(known) if len(known) == len(minutes) else None
+        return max(known) if known and len(known) == len(minutes) else None
 
     def _minutes_left(self, name: str) -> float | None:
         now, uncertainties = self._history[-1]
@@ -128,22 +125,27 @@ def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) ->
     if apart := _find_unconnected(solution):
         return "measuring", _say_where_to_walk(apart[0]) + (": try the orange areas" if has_areas else "")
     weak = _find_weak(solution)
-    beyond = [one.name for one in weak if one.uncertainty > 1]
+    beyond = _find_beyond(weak)
     if not beyond:
         return "measuring", weak[0].reason
-    if not _is_helped_by_walks(weak):
+    if not (helped := _find_helped(beyond)):
         source = next(filter(names_sources, split_clauses(weak[0].reason)))
         advice = split_clauses(weak[0].reason)[-1]
         return "measuring", f"For {weak[0].name}: {advice} ({source.replace(' of it:', ':')})"
-    minutes = forecast.minutes_left()
+    minutes = forecast.minutes_left(helped)
     left = "" if minutes is None else f": about {_format_minutes(minutes)} more"
-    where = "in the orange areas" if has_areas else "where several scanners detect you"
-    return "measuring", f"Walk {where}, for {name_sensors(beyond)}{left}"
+    where = "in the orange areas" if has_areas else "where several sensors detect you"
+    return "measuring", f"Walk {where}, for {name_sensors(helped)}{left}"
 
 
-def _is_helped_by_walks(weak: Sequence[SensorSolution]) -> bool:
-    """Whether walks help one that is beyond the tolerance."""
-    return any(is_helped_by_walks(one.reason) for one in weak if one.uncertainty > 1)
+def _find_beyond(weak: Sequence[SensorSolution]) -> list[SensorSolution]:
+    """Those that are beyond the tolerance."""
+    return [one for one in weak if one.uncertainty > 1]
+
+
+def _find_helped(sensors: Sequence[SensorSolution]) -> list[str]:
+    """Names of those that walks help."""
+    return [one.name for one in sensors if is_helped_by_walks(one.reason)]
 
 
 def _format_minutes(minutes: float) -> str:
@@ -164,8 +166,8 @@ def _find_weak(solution: LiveNetworkSolution) -> list[SensorSolution]:
 
 def _say_where_to_walk(scanner: SensorSolution) -> str:
     if not scanner.tracks:
-        return f"Walk where {scanner.name} detects you, and on to where another scanner does"
-    return f"Walk where {scanner.name} and another scanner both detect you, in curves"
+        return f"Walk where {scanner.name} detects you, and on to where another sensor does"
+    return f"Walk where {scanner.name} and another sensor both detect you, in curves"
 
 
 def _advise(solution: LiveNetworkSolution, forecast: Forecast) -> Advice | None:
@@ -176,7 +178,8 @@ def _advise(solution: LiveNetworkSolution, forecast: Forecast) -> Advice | None:
     sentences += dict.fromkeys(clause for one in weak if one.reason for clause in split_clauses(one.reason))
     if not sentences:
         return None
-    minutes = None if apart or not _is_helped_by_walks(weak) else forecast.minutes_left()
+    helped = _find_helped(beyond := _find_beyond(weak))
+    minutes = None if apart or len(helped) < len(beyond) else forecast.minutes_left(helped)
     expected = f"within tolerance in about {_format_minutes(minutes)}" if minutes else ""
     return Advice("; ".join(sentences), expected=expected)
 

@@ -125,11 +125,10 @@ def calibrate_tracks(
             _log_network(corrected.pairs, initialization, joint)
             bump = _find_bump(corrected, initialization, joint)
             if bump is None:  # the workers have the bodies of the solution, which its tests use
-                calibration = _assess_and_assemble(
+                return _assess_and_assemble(
                     rig, tracks, corrected, initialization, joint,
-                    frames=frames or {}, start=start, findings=findings, extends=earlier is not None,
+                    frames=frames or {}, start=start, findings=findings, earlier=earlier, prior=prior,
                 )  # fmt: skip
-                return merge_with_earlier(calibration, earlier, prior) if earlier else calibration
         name, step = bump
         tracks = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
 
@@ -188,21 +187,22 @@ def _assess_and_assemble(
     frames: Mapping[str, str],
     start: float | None,
     findings: Sequence[Finding],
-    extends: bool,
+    earlier: Calibration | None,
+    prior: ScannerPrior | None,
 ) -> Calibration:
-    """The calibration, with what contradicts it; other arguments as for :func:`calibrate_tracks`."""
+    """The calibration, with what contradicts it and what it extends; other arguments as for those above."""
     assessment = ModelAssessment(joint)
     if joint is not None:
         assessment = assess_network_model(
             joint,
             [corrected.tracked[name] for name in initialization.names],
             initialization,
-            replaceable=not extends,  # averaged poses do not contain the earlier ones
+            replaceable=earlier is None,  # averaged poses do not contain the earlier ones
             max_stddev=float(max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)[0]),
         )
     start = _first_time(corrected.tracked) if start is None else start
     of_poses = collect_network_findings(rig.root, tracks, initialization, start)
-    return assemble_network(
+    calibration = assemble_network(
         rig,
         {name: frames.get(name, "") for name in rig.sensors},
         {**tracks, **corrected.tracked},
@@ -214,6 +214,11 @@ def _assess_and_assemble(
         clock_offset=corrected.clock_offset,
         inverted=corrected.inverted,
     )
+    if earlier is None:
+        return calibration
+    factors = [] if assessment.joint is None else assessment.joint.variance_factors
+    by_tests = np.prod([factor for source, factor in factors if source != SHARED], axis=0)
+    return merge_with_earlier(calibration, earlier, prior, by_tests)
 
 
 def _find_bump(

@@ -300,8 +300,8 @@ def report_clocks_and_mountings(
     ]
     findings += [
         Finding(
-            f"the tracks of {name} contradict its stated `mounting`: they fit the other scanners as mirrored "
-            "ones; correct rig.yaml or, of a 3-D LiDAR, the axes of its clouds",
+            f"the tracks of {name} fit the other scanners as mirrored ones only: correct its `mounting` or, of a "
+            "3-D LiDAR, the axes of its clouds",
             (name,),
         )
         for name in solution.contradicted

@@ -210,5 +210,5 @@ def _assign_lanes(rows: Sequence[CaptureRow], names: Sequence[str]) -> list[floa
 def _describe_walk(row: CaptureRow) -> str:
     when = f"{format_fixed(row.start, 1)} – {format_fixed(row.end, 1)} s"
     off = "" if row.residual is None else f", {format_length(row.residual)} apart"
-    outcome = f"also tracked by another scanner{off}" if row.used else escape_plotly(row.reason)
+    outcome = f"also tracked by another sensor{off}" if row.used else escape_plotly(row.reason)
     return f"<b>{escape_plotly(row.sensor)}</b>, walk {row.capture}, {when}<br>{outcome}"

@@ -46,7 +46,7 @@ def render_floor_plan(calibration: Calibration) -> Markup:
     ]
     states = _pose_states(calibration)
     size = "to scale" if factor == 1 else f"{factor} × enlarged"
-    caption = f"An ellipse contains the scanner's position with 95 % probability; drawn {size}."
+    caption = f"An ellipse contains the sensor's position with 95 % probability; drawn {size}."
     height = _HEIGHT + _LEGEND_LINE_HEIGHT * (len(calibration.sensors) // _NAMES_PER_LINE)
     # Uncertainties exist for the final poses only.
     only_last = [False if trace.get("fill") else None for trace in traces]

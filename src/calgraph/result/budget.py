@@ -13,8 +13,12 @@ from calgraph.result.sensor_pose import stddev_along_axes
 _REMEDIES: Mapping[str, str] = MappingProxyType({
     **dict.fromkeys(
         ("noise", "view bias", "edges", "walls", "body model", "body paths", "body shapes",
-         "scatter of parts", "difference from averages", "correlated beams", "clock offset"),
+         "scatter of parts", "clock offset"),
         "recording more",
+    ),
+    **dict.fromkeys(
+        ("correlated beams", "difference from averages"),
+        "stating what scanners measure of people, or setting clocks",
     ),
     "serial correlation": "recording more, with the board moved farther from capture to capture",
     "drift": "recording more, with all sensors fixed",

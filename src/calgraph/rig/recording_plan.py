@@ -80,8 +80,8 @@ class RecordingPlan:
     max_stddev: Array
     """(6,) standard deviations (m, rad) up to which errors are within the tolerance."""
     needed: int | None
-    """Captures with which all sensors are within the tolerance that ever are, with a reserve if that is possible
-    (:func:`choose_amount`); None if 500 do not suffice."""
+    """Captures with which all sensors are within the tolerance that ever are, with a reserve of what captures
+    reduce if that is possible (:func:`choose_amount`); None if 500 do not suffice."""
     places: tuple[Suggestion, ...]
     """Where to hold the board, the most informative place first, each in addition to those before."""
     limit_budget: ErrorBudget
@@ -131,9 +131,13 @@ def plan_captures(
 
     stddev, least = predict(captures), predict(_UNLIMITED)
     possible = (least <= limits).all(axis=1)
-    needed = choose_amount(
-        _COUNTS, lambda count: float(np.max(predict(count)[possible] / limits, initial=0.0)), None
-    )
+    # Variances that captures reduce, and what priors leave of the tolerance for them; none of the root.
+    left = np.maximum(limits**2 - least[possible] ** 2, np.finfo(float).tiny)
+
+    def exceed(count: int) -> float:
+        return float(np.sqrt(np.max((predict(count)[possible] ** 2 - least[possible] ** 2) / left)))
+
+    needed = choose_amount(_COUNTS, exceed, None)
     bundle, kinds = boards.bundle, {name: spec.kind for name, spec in rig.sensors.items()}
     known = list(information_by_board(bundle, boards.minimized.equations))
     places = select_board_poses(

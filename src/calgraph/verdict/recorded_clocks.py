@@ -30,9 +30,11 @@ def correct_clocks(
 def add_clock_offsets(calibration: Calibration, rig: Rig, offsets: Mapping[str, float]) -> Calibration:
     """The calibration with the clock offsets of the recording as it is, of whose topics some were corrected."""
     of_root = offsets.get(rig.topics[rig.reference], 0.0)
+    # An extended calibration may have sensors that the rig lacks.
+    others = rig.topics.keys() - {rig.reference}
     sensors = [
         sensor
-        if sensor.clock_offset is None or sensor.name == rig.reference
+        if sensor.clock_offset is None or sensor.name not in others
         else replace(
             sensor, clock_offset=sensor.clock_offset + offsets.get(rig.topics[sensor.name], 0.0) - of_root
         )

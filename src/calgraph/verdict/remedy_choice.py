@@ -10,10 +10,10 @@ from calgraph.geometry import Array
 
 # Least decrease of the worst standard deviation over its limit by a remedy that does not suffice.
 _MIN_DECREASE = 0.1
-# Of the limit, what further data should leave: the next calibration of simulated rigs states up to 1.1 of the
-# predicted standard deviation in 95 %; of networks and the real VLP-16, 1.3, which this does not cover ("Remedies"
-# in docs/benchmarks.md).
-_PROMISED_SHARE = 0.9
+PROMISED_SHARE = 0.9
+"""Of the limit, what further data should leave: the next calibration of simulated rigs states up to 1.1 of the
+predicted standard deviation in 95 %; of networks and the real VLP-16, 1.3, which this does not cover ("Remedies"
+in docs/benchmarks.md)."""
 # Remedies of one sensor: more are not read.
 _MAX_REMEDIES = 3
 
@@ -56,7 +56,7 @@ def choose_amount(amounts: Sequence[T], excess: Callable[[T], float], otherwise:
         excess: the worst standard deviation after an amount over its limit.
         otherwise: where none suffices.
     """
-    return next((one for most in (_PROMISED_SHARE, 1) for one in amounts if excess(one) <= most), otherwise)
+    return next((one for most in (PROMISED_SHARE, 1) for one in amounts if excess(one) <= most), otherwise)
 
 
 def choose_measures(measures: Sequence[M], excess: Callable[[M], float], now: float) -> list[M]:

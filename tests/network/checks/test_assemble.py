@@ -130,9 +130,12 @@ def test_without_a_joint_solution_clocks_are_those_of_the_pairs() -> None:
 
 
 def test_averaged_poses_have_the_variances_of_their_pairs_times_a_factor() -> None:
-    of_pairs, wider = (assemble(joint=False, averaged_variance=one).joint_covariance for one in (1.0, 3.0))
-    assert np.diag(of_pairs)[6:8].all()
-    np.testing.assert_allclose(wider, 3 * of_pairs)
+    of_pairs, wider = (assemble(joint=False, averaged_variance=one) for one in (1.0, 3.0))
+    assert np.diag(of_pairs.joint_covariance)[6:8].all()
+    np.testing.assert_allclose(wider.joint_covariance, 3 * of_pairs.joint_covariance)
+    for before, after in zip(of_pairs.sensors[1:], wider.sensors[1:], strict=True):
+        assert before.clock_offset_stddev is not None
+        assert after.clock_offset_stddev == pytest.approx(np.sqrt(3) * before.clock_offset_stddev)
 
 
 def test_parents_follow_the_edges_with_the_most_information() -> None:
@@ -232,10 +235,9 @@ def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> N
     )
 
 
-def test_a_sensor_that_measured_vehicles_only_has_no_number_of_tracks() -> None:
-    """Those without tracks of people and vehicles are rejected before."""
-    driven = replace(build_tracks(0), tracks=())
+def test_a_sensor_without_tracks_has_no_number_of_them() -> None:
+    empty = replace(build_tracks(0), tracks=())
     pairs: ScannerPairs = {("west", "hall"): Rejected("too few")}
-    assert explain_unconnected("hall", "west", {"west": build_tracks(1), "hall": driven}, pairs) == (
-        "measured vehicles, but no person; west: too few"
+    assert explain_unconnected("hall", "west", {"west": build_tracks(1), "hall": empty}, pairs) == (
+        "no person was tracked; west: too few"
     )

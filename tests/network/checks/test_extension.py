@@ -108,6 +108,35 @@ def sample_extension(correlation: float) -> tuple[Array, Array]:
     return np.cov(np.column_stack([fused, old[:, 6:]]).T) / scale, together / scale
 
 
+def extend_by(factors: Array) -> Array:
+    """Covariance (9, 9) of an extension that adds little, whose variances tests enlarge by factors (3,).
+
+    Errors of its scanners are nearly the same, by 1 cm and 10 mrad.
+    """
+    common = np.kron(np.ones((3, 3)) + 0.05 * np.eye(3), 1e-4 * np.eye(3))
+    poses = replace(four_scanners(np.random.default_rng(3)), covariance=np.pad(common, (3, 0)))
+    prior = build_scanner_prior(poses, ("a", "b", "c"))
+    scale, spread = np.repeat(np.sqrt(factors), 3), np.zeros((9, 9))
+    spread[3:, 3:] = np.linalg.inv(1.01 * prior.information) / EARLIER_WEIGHT
+    found = calibration(NetworkPoses(("a", "b", "c"), poses.T_root_scanner[:3], spread * np.outer(scale, scale)))
+    merged = merge_calibrations(found, calibration(poses), prior, factors)
+    return extract_planar_poses(merged).covariance[3:, 3:]
+
+
+def test_what_tests_add_to_variances_is_no_error_of_the_earlier_poses() -> None:
+    """Ten times the variances leave the covariance with a kept scanner as it is."""
+    plain, enlarged = extend_by(np.ones(3)), extend_by(np.full(3, 10.0))
+    np.testing.assert_allclose(enlarged[:6, :6], 10 * plain[:6, :6])
+    np.testing.assert_allclose(enlarged[:6, 6:], plain[:6, 6:])
+
+
+@pytest.mark.parametrize("factors", [(1.0, 1.0, 1.0), (10.0, 10.0, 10.0), (1.0, 1.0, 100.0), (1.0, 100.0, 10.0)])
+def test_the_covariance_of_an_extension_is_positive(factors: tuple[float, float, float]) -> None:
+    covariance = extend_by(np.array(factors))
+    size = np.sqrt(np.diag(covariance))
+    assert np.linalg.eigvalsh(covariance / np.outer(size, size)).min() > 1e-3
+
+
 def test_a_kept_scanner_keeps_its_pose_with_a_remark() -> None:
     poses = four_scanners(np.random.default_rng(3))
     found = calibration(poses.select(("a", "b", "c")))
@@ -187,15 +216,24 @@ def test_a_recording_that_agrees_gives_the_earlier_poses_as_a_prior(rng: np.rand
 
 
 @pytest.mark.parametrize(
-    ("moved", "advice"), [(2, "give `moved`: c"), (0, "its root has moved: calibrate the network again")]
+    ("moved", "root", "advice"),
+    [
+        (2, "a", "give `moved`: c"),
+        (0, "a", "its root has moved: calibrate the network again"),
+        (2, "c", "its root has moved: calibrate the network again"),
+        (0, "c", "give `moved`: a"),
+    ],
 )
-def test_moved_scanners_are_named_with_advice(moved: int, advice: str, rng: np.random.Generator) -> None:
+def test_moved_scanners_are_named_with_advice(
+    moved: int, root: str, advice: str, rng: np.random.Generator
+) -> None:
+    """Also where the result has another root than what it is solved against."""
     earlier = known_to_millimetres(rng)
     T = earlier.T_root_scanner.copy()
     T[moved, :2, 2] += [0.03, 0.04]
     found = replace(earlier, T_root_scanner=se2.inverse(T[0]) @ T)
     with pytest.raises(CalibrationError, match=rf"{earlier.names[moved]} has moved by 50\.0 mm .*{advice}"):
-        build_consistent_prior(earlier, found, "a", SETTINGS)
+        build_consistent_prior(earlier, found, root, SETTINGS)
 
 
 def test_edges_of_removed_scanners_are_removed() -> None:

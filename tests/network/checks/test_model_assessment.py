@@ -9,14 +9,22 @@ import pytest
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.checks.consistency_tests import Scatter
-from calgraph.network.checks.model_assessment import ModelAssessment, add_position_errors, assess_network_model
+from calgraph.network.checks.model_assessment import (
+    CORRELATED_BEAMS,
+    DIFFERENCE,
+    ModelAssessment,
+    add_position_errors,
+    assess_network_model,
+)
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.estimate import NetworkSolution
+from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import BodyScans
 from calgraph.network.joint.range_noise import MAX_EXCESS
 from calgraph.network.joint.solver import NetworkEquations, linearize_network
 from calgraph.network.tracking.track import ScannerTracks
+from calgraph.result import ErrorSource
 from dense_covariances import relate_all
 from leg_scenes import build_network
 from network_scenes import OFFSET, SIGMA, T_ROOT
@@ -42,16 +50,30 @@ def solve(alternating: bool = False) -> NetworkEquations:
     return solve_two_walks(np.random.default_rng(0), alternate if alternating else no_change)
 
 
-def with_noise_at_limit() -> NetworkEquations:
-    limit = np.hypot(SIGMA, MAX_EXCESS)
-    return replace(solve(), network=replace(solve().network, range_sigma=np.full(3, limit)))
+def with_noise_at_limit(solved: NetworkEquations | None = None) -> NetworkEquations:
+    limit, solved = np.hypot(SIGMA, MAX_EXCESS), solved or solve()
+    return replace(solved, network=replace(solved.network, range_sigma=np.full(3, limit)))
+
+
+def with_other_radii(solved: NetworkEquations, radii: tuple[float, float]) -> NetworkEquations:
+    """The solution of which rig.yaml states other radii, m."""
+    bodies = [one for one in solved.network.bodies if isinstance(one, EllipseObservations)]
+    stated = tuple(replace(one, radii=np.array(radii)) for one in bodies)
+    return replace(solved, network=replace(solved.network, bodies=stated))
+
+
+JOINT = relate_all(1e-6 * np.eye(12), 3)
 
 
 def assess(
-    solved: NetworkEquations | None, averaging_error: float = 0.0, *, replaceable: bool = True
+    solved: NetworkEquations | None,
+    averaging_error: float = 0.0,
+    *,
+    replaceable: bool = True,
+    covariance: NearCovariances = JOINT,
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
-    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), solved)
+    joint = NetworkSolution(T_ROOT, OFFSET, covariance, solved)
     averaged = T_ROOT.copy()
     averaged[2, 0, 2] += averaging_error
     T_i_j = np.array([se2.inverse(averaged[i]) @ averaged[j] for i, j in EDGES])
@@ -147,19 +169,58 @@ def test_contradicted_poses_contain_their_difference_from_averaged_pairs() -> No
     np.testing.assert_array_equal(covariance_of(right), 1e-6 * np.eye(12))
 
 
+def test_the_difference_is_a_source_of_its_own_that_no_longer_recording_reduces() -> None:
+    joint = assess(solve(alternating=True), averaging_error=0.07).joint
+    assert joint is not None
+    assert [source for source, _ in joint.variance_factors] == ["scatter of parts", CORRELATED_BEAMS, DIFFERENCE]
+    assert ErrorSource(DIFFERENCE).remedy.startswith("stating what scanners measure of people")
+
+
+def test_a_refuted_solution_that_stays_contains_its_difference_from_averaged_pairs() -> None:
+    """Also where averages alone do not contradict it, 7 cm of 2 cm over six axes."""
+    found = assess(with_noise_at_limit(), averaging_error=0.07, replaceable=False)
+    np.testing.assert_allclose(np.diag(covariance_of(found)), 0.07**2 / 6 - PAIR_SIGMA**2, rtol=2e-3)
+    assert found.averaged_variance == 1.0
+
+
+def test_covariances_of_scanners_that_are_unknown_are_no_part_of_the_difference() -> None:
+    """7 cm of 2 cm in one of two poses, as where all are known."""
+    known = JOINT.pairs[:, 0] == JOINT.pairs[:, 1]
+    near = NearCovariances(3, JOINT.pairs[known], JOINT.blocks[known])
+    joint = assess(solve(alternating=True), averaging_error=0.07, covariance=near).joint
+    assert joint is not None
+    np.testing.assert_allclose(joint.covariance.stddev**2, 0.07**2 / 6 - PAIR_SIGMA**2, rtol=2e-3)
+
+
+def test_averages_with_wrong_radii_are_no_reason_to_widen_what_scatters() -> None:
+    scattered = assess(with_other_radii(solve(alternating=True), (0.18, 0.15)), averaging_error=0.07)
+    assert len(scattered.findings) > 0
+    assert covariance_of(scattered)[0, 0] < 1e-5
+
+
 def test_averaged_poses_contain_their_difference_from_the_solution_that_they_replace() -> None:
-    found = assess(with_noise_at_limit(), averaging_error=0.2)
+    """But what the variance of that, 1 cm² of a pose, explains."""
+    joint = relate_all(1e-4 * np.eye(12), 3)
+    found = assess(with_noise_at_limit(), averaging_error=0.2, covariance=joint)
     assert found.joint is None
-    assert found.averaged_variance == pytest.approx(0.2**2 / 6 / PAIR_SIGMA**2, rel=0.01)
+    assert found.averaged_variance == pytest.approx((0.2**2 / 6 - 1e-4) / PAIR_SIGMA**2, rel=2e-3)
     assert assess(with_noise_at_limit()).averaged_variance == 1.0
     assert assess(solve()).averaged_variance == 1.0
 
 
+def test_averages_of_legs_have_the_variance_that_they_are_tested_with() -> None:
+    """Twice that of their pairs, of poses that they replace, and in the difference from others."""
+    legs = linearize_network(*build_network())
+    assert assess(with_noise_at_limit(legs)).averaged_variance == 2.0
+    widened = np.diag(covariance_of(assess(legs, averaging_error=0.2, replaceable=False)))
+    np.testing.assert_allclose(widened, 0.2**2 / 6 - 2 * PAIR_SIGMA**2, rtol=2e-3)
+
+
 def test_averaged_pairs_that_disagree_make_all_poses_weak() -> None:
-    # Far beyond 3 cm, the standard deviation of the average.
+    """Far beyond 3 cm, the standard deviation of the average; variances contain the difference."""
     found = assess(solve(), averaging_error=0.2)
-    assert found.joint is not None
     assert [finding.sensors for finding in found.findings] == [NAMES]
+    np.testing.assert_allclose(np.diag(covariance_of(found)), 0.2**2 / 6 - PAIR_SIGMA**2, rtol=2e-3)
 
 
 def test_parts_and_averaged_pairs_that_both_disagree_refute_the_model() -> None:
@@ -183,8 +244,4 @@ def test_averages_of_legs_may_be_farther_off_than_their_covariance_states() -> N
 
 @pytest.mark.parametrize("axes", [(0.18, 0.15), (0.25, 0.19)])
 def test_averages_with_stated_radii_that_are_wrong_are_no_evidence(axes: tuple[float, float]) -> None:
-    solved = solve()
-    bodies = [one for one in solved.network.bodies if isinstance(one, EllipseObservations)]
-    stated_otherwise = tuple(replace(one, radii=np.array(axes)) for one in bodies)
-    stated = replace(solved, network=replace(solved.network, bodies=stated_otherwise))
-    assert assess(stated, averaging_error=0.2).findings == ()
+    assert assess(with_other_radii(solve(), axes), averaging_error=0.2).findings == ()

@@ -11,7 +11,7 @@ import pytest
 from calgraph.config import Lidar2dUncertainty
 from calgraph.geometry import Array, se2
 from calgraph.network.checks import remedies
-from calgraph.network.checks.model_assessment import CORRELATED_BEAMS
+from calgraph.network.checks.model_assessment import CORRELATED_BEAMS, DIFFERENCE
 from calgraph.network.checks.remedies import _Measure, _Prediction, _record_longer
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import ScannerPrior
@@ -95,12 +95,13 @@ def test_compared_ranges_are_the_priors_of_the_spread_that_is_estimated_again() 
     np.testing.assert_allclose(found, stddev_of(solution(expected)), rtol=1e-6)
 
 
-def test_errors_of_outlines_do_not_average_out() -> None:
+@pytest.mark.parametrize("source", [CORRELATED_BEAMS, DIFFERENCE])
+def test_errors_of_models_do_not_average_out(source: str) -> None:
     """Variances are doubled, and then 1 cm² larger, before and after; those of the root are zero."""
     equations = linearize_network(*problem())
     scattered = solution(equations, [("scatter of parts", np.full(3, 2.0))])
     position = np.maximum(np.mean(scattered.covariance.stddev[:, :2] ** 2, axis=1), np.finfo(float).tiny)
-    joint = scattered.scale_covariance(np.where([False, True, True], 1 + 0.01**2 / position, 1), CORRELATED_BEAMS)
+    joint = scattered.scale_covariance(np.where([False, True, True], 1 + 0.01**2 / position, 1), source)
     prediction, plain = predict(joint), predict(solution(equations))
     longer = _Measure("", 0.0, 2 * prediction.duration)
     np.testing.assert_allclose(prediction.stddev(NOTHING), stddev_of(joint), rtol=1e-9)

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from calgraph.errors import Rejected
-from calgraph.network.checks.findings import describe_bumps
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.checks.findings import collect_network_findings, describe_bumps
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.result.finding import Finding
 
@@ -57,6 +59,16 @@ def test_a_pose_from_before_the_last_bump_is_weak() -> None:
 
 def test_all_poses_are_weak_if_the_root_has_moved_since() -> None:
     assert describe("west", tracks((BUMP,), (START, START + 29.9))).sensors == ("west", "east", "north")
+
+
+def test_the_root_of_the_result_may_be_any_scanner() -> None:
+    """Also where poses are averaged in the frame of another, the first."""
+    followed = {"west": tracks(), "east": tracks((BUMP,), (START, START + 29.9))}
+    T = np.tile(np.eye(3), (2, 1, 1))
+    graph = PoseGraph(2, np.array([[0, 1]]), T[:1], T[:1])
+    averaged = NetworkInitialization({}, graph, ("west", "east"), PoseGraphSolution(T, np.array([True])))
+    (finding,) = collect_network_findings("east", followed, averaged, START)
+    assert finding.sensors == ("west", "east")
 
 
 def test_several_bumps_are_one_finding() -> None:

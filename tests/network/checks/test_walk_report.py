@@ -83,7 +83,7 @@ def test_a_shared_walk_is_used(samples: dict[str, TrackSamples]) -> None:
 def test_a_walk_of_one_scanner_is_rejected_with_a_reason(samples: dict[str, TrackSamples]) -> None:
     rows = rows_of("west", samples, ("west", "east"))
     assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
-        (False, "other scanners detected people at that time, but not within 0.5 m of it", None),
+        (False, "other sensors detected people at that time, but not within 0.5 m of it", None),
         (False, "no other sensor detected a person at that time", None),
     ]
 
@@ -92,13 +92,13 @@ def test_reasons_are_given_from_the_side_of_either_scanner(samples: dict[str, Tr
     rows = rows_of("east", samples, ("west", "east"))
     assert [(row.used, row.reason) for row in rows] == [
         (True, ""),
-        (False, "other scanners detected people at that time, but not within 0.5 m of it"),
+        (False, "other sensors detected people at that time, but not within 0.5 m of it"),
     ]
 
 
 def test_walks_of_an_unconnected_scanner_are_rejected(samples: dict[str, TrackSamples]) -> None:
     (row,) = rows_of("north", samples, ("west", "east"))
-    assert (row.used, row.reason) == (False, "its scanner is not calibrated")
+    assert (row.used, row.reason) == (False, "its sensor is not calibrated")
 
 
 @pytest.mark.parametrize(("y", "used"), [(0.4, True), (0.6, False)])
@@ -114,7 +114,7 @@ def test_a_short_overlap_is_rejected(rng: np.random.Generator) -> None:
         "east": resample_tracks(build_tracks("east", [simulate_walk(2, 2.35, 0)], rng)),
     }
     (row,) = rows_of("west", samples, ("west", "east"))
-    assert (row.used, row.reason) == (False, "another scanner detected it for less than 0.5 s")
+    assert (row.used, row.reason) == (False, "another sensor detected it for less than 0.5 s")
 
 
 def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSamples]) -> None:

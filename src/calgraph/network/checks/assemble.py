@@ -85,7 +85,7 @@ def assemble_network(
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses and clocks replace the averaged ones.
         findings: what does not fit the rig in the messages of the recording, and what contradicts the solution.
-        averaged_variance: variances of averaged poses over those of their pairs.
+        averaged_variance: variances of averaged poses and clocks over those of pairs; 1 with a joint solution.
         clock_offset: by which the times of tracks were corrected, s.
         inverted: scanners whose tracks were mirrored, as they are mounted the other way up than the root.
     """
@@ -106,6 +106,7 @@ def assemble_network(
         if joint is None
         else joint.pose_covariance
     )
+    clocks[:, 1] *= np.sqrt(averaged_variance)
     clocks[:, 0] += [clock_offset.get(name, 0.0) for name in names]
     # A rotation by 180° about the x axis of the mirrored frame.
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
@@ -288,7 +289,7 @@ def explain_unconnected(
     reasons = "; ".join([*stated, *more])
     count = len(tracks.tracks)
     if not count:
-        return f"measured vehicles, but no person; {reasons or 'no other sensor has any'}"
+        return f"no person was tracked; {reasons or 'no other sensor has any'}"
     return f"has {count} track{'s' * (count != 1)}, but {reasons or 'no other sensor has any'}"
 
 
@@ -456,17 +457,17 @@ def _assess_walk(
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
-        return False, "its scanner is not calibrated", None
+        return False, "its sensor is not calibrated", None
     d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
     if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
+        return False, f"another sensor detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,
-            f"other scanners detected people at that time, but not within {MAX_DISTANCE:g} m of it",
+            f"other sensors detected people at that time, but not within {MAX_DISTANCE:g} m of it",
             None,
         )
     return False, "no other sensor detected a person at that time", None

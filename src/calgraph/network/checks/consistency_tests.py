@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import chdtrc
 
@@ -173,23 +174,27 @@ _EXCESS_TOLERANCE = 1e-3
 
 
 def measure_excess(difference: Array, covariance: Array, other: Array) -> float:
-    """Factor, at least 1, of a covariance with which its estimate differs from another one as much as expected.
+    """Factor, at least 1, of a covariance with which chi-square of the difference to an independent estimate is n.
 
-    Source: Paule and Mandel, "Consensus values and weighting factors", 1982.
+    One factor for all components. Estimates of one recording have errors in common: for them it is rather too
+    small. Source: Paule and Mandel, "Consensus values and weighting factors", 1982.
 
     Args:
         difference: (n,) of the two estimates.
         covariance: (n, n) that is multiplied.
         other: (n, n) of the other estimate.
     """
+    # Axes along which both covariances are diagonal, the first being 1; rounding may leave the other below zero.
+    variances, axes = eigh(other, covariance)
+    variances, squares = np.maximum(variances, 0.0), (axes.T @ difference) ** 2
 
     def exceed(factor: float) -> float:
-        return float(difference @ np.linalg.solve(factor * covariance + other, difference)) - len(difference)
+        return float(np.sum(squares / (factor + variances))) - len(difference)
 
     if exceed(1.0) <= 0:
         return 1.0
     # With an exact other estimate; a little more, so that rounding leaves a root below.
-    most = 1.01 * float(difference @ np.linalg.solve(covariance, difference)) / len(difference)
+    most = 1.01 * float(squares.sum()) / len(difference)
     return float(brentq(exceed, 1.0, most, rtol=_EXCESS_TOLERANCE))
 
 

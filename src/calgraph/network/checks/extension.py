@@ -89,7 +89,7 @@ def build_consistent_prior(
     Args:
         earlier: the earlier poses.
         found: the poses of the scanners of the recording, from it alone, in the same frame.
-        root: that of the result, which may have another frame.
+        root: of the result; poses here are in the frame of the LiDAR that it was solved against.
         settings: of the test.
 
     Raises:
@@ -113,8 +113,12 @@ def build_consistent_prior(
     return build_scanner_prior(earlier, names)
 
 
-def merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None) -> Calibration:
+def merge_with_earlier(
+    calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None, factors: float | Array = 1.0
+) -> Calibration:
     """A calibration with the scanners that only the earlier one has.
+
+    Args as for :func:`merge_calibrations`.
 
     Raises:
         CalibrationError: nothing is connected to the root, so that there is no prior.
@@ -124,24 +128,33 @@ def merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: Sc
         raise CalibrationError(
             f"nothing to extend with: no sensor is connected to the root {calibration.root} ({why})"
         )
-    return merge_calibrations(calibration, earlier, prior)
+    return merge_calibrations(calibration, earlier, prior, factors)
 
 
-def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerPrior) -> Calibration:
+def merge_calibrations(
+    found: Calibration, earlier: Calibration, prior: ScannerPrior, factors: float | Array = 1.0
+) -> Calibration:
     """A calibration together with the scanners that only the earlier one has, which keep their poses.
 
     The errors of kept scanners are correlated with those of the others: the poses in ``found`` depend on the
-    earlier ones by ``C W``, with its covariance ``C`` and the weighted information ``W`` of the prior.
+    earlier ones by ``C W``, with its covariance ``C`` and the weighted information ``W`` of the prior. What tests
+    of the recording multiplied ``C`` by is no part of that, except for what is of some scanners only: without it,
+    the covariance might be indefinite.
 
     Args:
         found: from the recording and the prior.
         earlier: the earlier calibration.
         prior: of the solution ``found``.
+        factors: of the variances of ``found`` by tests, of each scanner (S,) or of all.
     """
     now, before = extract_poses(found), extract_poses(earlier)
     kept = [sensor for sensor in earlier.sensors if sensor.name not in now.names]
     shared, kept_rows = [now.names[k] for k in prior.nodes], before.covariance_rows([one.name for one in kept])
-    gain = now.covariance[:, now.covariance_rows(shared)] @ (EARLIER_WEIGHT * prior.information)
+    rows = now.covariance_rows(shared)
+    scale = np.repeat(np.sqrt(np.broadcast_to(factors, len(now.names))), now.size)
+    # Of all but the root, which has no error.
+    of_prior = now.covariance[:, rows] / (scale[now.size :].min() * scale[rows])
+    gain = of_prior @ (EARLIER_WEIGHT * prior.information)
     cross = gain @ before.covariance[np.ix_(before.covariance_rows(shared), kept_rows)]
     covariance = np.block([[now.covariance, cross], [cross.T, before.covariance[np.ix_(kept_rows, kept_rows)]]])
     names = (*now.names, *(sensor.name for sensor in kept))

@@ -13,7 +13,7 @@ import numpy as np
 
 from calgraph.config import Lidar2dSpec, Lidar2dUncertainty, Rig
 from calgraph.geometry import Array
-from calgraph.network.checks.model_assessment import CORRELATED_BEAMS
+from calgraph.network.checks.model_assessment import CORRELATED_BEAMS, DIFFERENCE
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import PLANAR_AXES, NearCovariances
 from calgraph.network.joint.scanner_unknowns import (
@@ -179,11 +179,11 @@ class _Prediction:
         return NetworkCovariance(inverse, self._equations.estimated).select_pairs(pairs, slice(CLOCK))
 
     def _enlarge(self, covariance: NearCovariances) -> NearCovariances:
-        """With what was added to the covariance of the solution, of which errors of outlines stay as they are."""
+        """With what was added to the covariance of the solution, of which errors of models stay as they are."""
         before = self._now
         for kind, factors in self._factors:
             after = factors
-            if kind == CORRELATED_BEAMS:
+            if kind in (CORRELATED_BEAMS, DIFFERENCE):
                 variances = (np.mean(one.stddev[:, :2] ** 2, axis=1) for one in (before, covariance))
                 stated, expected = (np.maximum(one, np.finfo(float).tiny) for one in variances)
                 after = 1 + (factors - 1) * stated / expected

@@ -47,12 +47,13 @@ class NetworkPoses:
         return NetworkPoses(tuple(names), T, self.covariance[np.ix_(rows, rows)])
 
     def place(self, name: str, T_frame_root: Array, covariance: Array) -> "NetworkPoses":
-        """In another frame, which becomes the first and the root, with the pose of the present root in it.
+        """Expresses the poses in another frame, which becomes the first and the root, the present one the second.
 
         Args:
             name: of the frame.
-            T_frame_root: of the present root.
-            covariance: (d, d) of the error of that, by which all move together.
+            T_frame_root: (n+1, n+1) pose of the present root in it, n = 2 or 3, m.
+            covariance: (d, d) of the error of that pose, by which all move together, m² and rad², along and about
+                the fixed axes of the new frame.
         """
         T = T_frame_root @ self.T_root_scanner
         turned = np.kron(np.eye(len(T)), se_n.rotation_adjoint(se_n.rotation(T_frame_root)))
