@@ -59,6 +59,13 @@ def test_poses_are_found_without_a_guess_from_different_points_of_a_vehicle(seed
     assert abs(pair.hypotheses[0].clock_offset - _CLOCK) < 0.04
 
 
+def test_vehicles_that_drive_straight_ahead_connect_nothing() -> None:
+    """Where along their way, and beside it, each sensor follows them is not known."""
+    observed = _observe(np.random.default_rng(0), straight=True)
+
+    assert not pair_by_vehicles(observed, _without_people(observed), frozenset("a"))
+
+
 def test_vehicles_that_a_second_sensor_did_not_measure_connect_nothing() -> None:
     observed = _observe(np.random.default_rng(0))
     other = _observe(np.random.default_rng(9), seed=5)
@@ -183,12 +190,13 @@ def _drive_through(scene: Scene, scale: float) -> list[SpaceObservations]:
     return observed
 
 
-def _drive(duration: float, seed: int = 0) -> tuple[Array, Array]:
-    """Times (T,) and x, y, yaw (T, 3) on a winding way of changing speed, which returns."""
+def _drive(duration: float, seed: int = 0, straight: bool = False) -> tuple[Array, Array]:
+    """Times (T,) and x, y, yaw (T, 3) on a winding way of changing speed, which returns; or straight ahead."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, duration, 0.1)
     speed = 1.1 + 0.5 * np.sin(0.5 * times + rng.uniform(0, 6))
     yaw = rng.uniform(0, 6) + 1.5 * np.sin(0.31 * times + rng.uniform(0, 6)) + 0.17 * times
+    yaw = np.full(len(times), 0.3) if straight else yaw
     step = 0.1 * speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
     return times, np.column_stack([np.array([4.0, 1.0]) + np.cumsum(step, axis=0), yaw])
 
@@ -218,7 +226,9 @@ def _measure(times: Array, poses: Array, half: Array, rng: np.random.Generator) 
     return MovingPoints(se_n.apply(se_n.inverse(_LEVEL), every), times[index], index, 0.1)
 
 
-def _observe(rng: np.random.Generator, seed: int = 0, noise: float = 0.03) -> dict[str, SpaceObservations]:
+def _observe(
+    rng: np.random.Generator, seed: int = 0, noise: float = 0.03, straight: bool = False
+) -> dict[str, SpaceObservations]:
     """Two sensors, of which each follows another point of each of two vehicles, for 8 s at a time."""
     to_b = se2.inverse(_T_A_B)
     sensors = {"a": (np.eye(3), 0.0), "b": (to_b, _CLOCK)}
@@ -226,7 +236,7 @@ def _observe(rng: np.random.Generator, seed: int = 0, noise: float = 0.03) -> di
     for name, (T, clock) in sensors.items():
         tracks = []
         for vehicle in range(2):
-            times, poses = _drive(32.0, 10 * seed + vehicle)
+            times, poses = _drive(32.0, 10 * seed + vehicle, straight)
             for part in np.split(np.arange(0, len(times), 2), 4):
                 offset = rng.uniform(-0.4, 0.4, 2)
                 at = poses[part, :2] + np.einsum("nij,j->ni", _turn(poses[part, 2]), offset)
