@@ -129,10 +129,10 @@ def test_sensors_without_common_people_are_named() -> None:
     _, solution = solved()
     alone = replace(solution, persons=[replace(one, sensors=np.array([0, 1])) for one in solution.persons])
     text = "no person or vehicle was measured by {} and another sensor at the same time and place"
-    assert text.format("it") in _find_contradictions(alone, 2, 0)
-    assert text.format("the root") in _find_contradictions(alone, 1, 2)
+    assert text.format("it") in _find_contradictions(alone, 2, 0, False)
+    assert text.format("the root") in _find_contradictions(alone, 1, 2, True)
     for of, k, root in ((alone, 1, 0), (alone, 0, 1), (solution, 2, 0), (solution, 1, 2)):
-        assert not any("no person" in one for one in _find_contradictions(of, k, root))
+        assert not any("no person" in one for one in _find_contradictions(of, k, root, k < 2))
 
 
 def test_drifts_are_relative_to_the_root() -> None:
@@ -184,3 +184,23 @@ def test_a_lidar_that_measured_vehicles_only_has_that_reason() -> None:
         reasons.append(_explain_unconnected(LIDARS[1], LIDARS[0], dict.fromkeys(LIDARS, none), start))
     assert reasons[0] == f"measured vehicles, but {reasons[1]}"
     assert reasons[1].endswith("let people walk from its view into those of its neighbours, with turns")
+
+
+def test_lidars_that_share_no_floor_have_no_good_height() -> None:
+    """As of rings that meet the floor at other places: points of floors of one LiDAR are left out."""
+    _, solution = solved()
+    shared = solution.shared
+    level = np.abs(shared.surfaces.normals[shared.surface, 2]) > 0.9
+    kept = ~level | (shared.sensor != 1)
+    apart = replace(
+        shared,
+        points=shared.points[kept],
+        sensor=shared.sensor[kept],
+        surface=shared.surface[kept],
+        height=shared.height[kept],
+    )
+    without = replace(solution, shared=apart)
+    of_floor = "its height rests on walls"
+    assert any(of_floor in one for one in _find_contradictions(without, 1, 0, True))
+    assert not any(of_floor in one for one in _find_contradictions(solution, 1, 0, True))
+    assert not any(of_floor in one for one in _find_contradictions(without, 2, 0, False))

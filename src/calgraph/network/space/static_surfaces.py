@@ -26,6 +26,8 @@ _THINNED, _THINNED_LINE = 0.25, 0.1
 # Vertical part of a normal up to which a surface is a wall. Heights over the floor at which each point of a 2-D
 # scanner counts, m: over furniture, where LiDARs measure walls best, and apart, as walls are upright.
 _WALL, _WALL_HEIGHTS = 0.3, (1.2, 1.8)
+# Vertical part of a normal from which a surface is level (26°): floors, ramps, and tops of furniture.
+_LEVEL = 0.9
 # Least points of a sensor in a cell for it to measure that cell: three determine a plane.
 _MIN_POINTS = 4
 
@@ -123,6 +125,14 @@ def _place(shared: SharedSurfaces, states: Sequence[SensorState], beyond: Array)
     world[level, 2] = shared.height[level]
     by_state[level, :, LEVELLING] = 0.0
     return world, by_state
+
+
+def count_level_cells(shared: SharedSurfaces, sensors: int) -> Array:
+    """(S, S) number of cells of floors, and other level surfaces, that two sensors measured, too."""
+    measured = np.zeros((sensors, len(shared.surfaces.keys)))
+    level = np.abs(shared.surfaces.normals[shared.surface, 2]) > _LEVEL
+    measured[shared.sensor[level], shared.surface[level]] = 1.0
+    return measured @ measured.T
 
 
 def reduce_surfaces(
