@@ -68,8 +68,8 @@ _MAX_SQUARED_STEP = 0.1
 # onto each other. Numbers do not distinguish these: they are up to 31.
 _MIN_AGREEMENT, _MIN_BALANCE = 4.0, 0.6
 # Cells of floor, of 1 m, that two LiDARs have to measure for their heights to be compared: three places determine
-# a plane. With fewer, heights rest on how walls lean: of seven halls of two LiDARs of 16 rings, the four with up to
-# two cells have errors of 53 to 294 mm, 1.8 to 4 standard deviations, the three others of 28 to 104 mm, up to 2.3.
+# a plane. With fewer, heights rest on how walls lean: of seven halls of two LiDARs of 16 rings, the four with up
+# to two cells have errors of 53 to 294 mm, 1.8 to 4 standard deviations, the others of 28 to 104 mm, up to 2.3.
 _MIN_LEVEL_CELLS = 3
 # Axes of a level scanner along and about which it does not measure.
 _LEVEL_AXES = (2, 3, 4)
