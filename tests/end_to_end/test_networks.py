@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from calgraph.calibration.dispatch import calibrate
 from calgraph.config import Rig, load_rig
-from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.network.options import NetworkEstimator, NetworkOptions
 from calgraph.recording import open_recording
@@ -71,7 +70,7 @@ def test_deviations_of_a_real_recording_cover_its_errors(data_dir: Path) -> None
 def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(
     data_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The noise of ranges at people reaches 2 % of its limit."""
+    """The noise of ranges at people reaches 2 % of its limit. Averages at legs vary twice as much as pairs."""
     monkeypatch.setattr("calgraph.network.checks.model_assessment._LIMIT_SHARE", 0.02)
     rig = Rig.model_validate(TWO)
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording:
@@ -79,7 +78,7 @@ def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(
         averaged = calibrate(rig, recording, NetworkOptions(estimator="averaging"))
     assert found.evidence.estimator == "averaging"
     np.testing.assert_array_equal(found["rear"].T_root_sensor, averaged["rear"].T_root_sensor)
-    np.testing.assert_array_equal(found.joint_covariance, averaged.joint_covariance)
+    np.testing.assert_allclose(found.joint_covariance, 2 * averaged.joint_covariance)
     assert found["rear"].verdict.grade == "weak"
     assert found["rear"].verdict.reason.startswith("the model of the joint solution does not hold")
     assert any("at people is at its limit" in remark for remark in found.evidence.remarks)
@@ -179,15 +178,3 @@ def test_a_driving_scanner_is_named_and_the_others_are_calibrated(tmp_path: Path
     found, _ = calibrate_simulated(tmp_path, 0, driving=0.5)
     ((_, reason),) = found.evidence.unconnected.items()
     assert reason.startswith("it moves")
-
-
-def test_a_scanner_as_root_beside_a_lidar_is_bad_input(data_dir: Path) -> None:
-    sensors = {
-        "front": {"kind": "lidar2d", "topic": "/front_scan"},
-        "eye": {"kind": "lidar3d", "topic": "/rear_scan"},
-    }
-    with (
-        open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording,
-        pytest.raises(InputError, match=r"root: must be a 3-D LiDAR, .*, got front"),
-    ):
-        calibrate(Rig.model_validate({**TWO, "sensors": sensors}), recording, NetworkOptions())
