@@ -14,6 +14,8 @@ from calgraph.network.space.pipeline import observe_clouds
 from calgraph.network.space.start import start_in_space
 from calgraph.network.space.static_directions import CloudSplitter
 from calgraph.parallel.progress import no_progress
+from calgraph.sensors import PointCloud
+from calgraph.simulation import HallScenario, simulate_hall
 from network.space.people_hall import Hall, Lidar, build_hall, build_lidars, mount, simulate_clouds
 
 DURATION = 20.0
@@ -109,3 +111,16 @@ def test_a_hall_without_people_has_no_floor() -> None:
     assert isinstance(
         observe_clouds(CloudSplitter(), Lidar3dSpec(topic="lidar"), TrackingSettings(), rng), Rejected
     )
+
+
+def test_a_hall_without_people_in_which_a_floor_is_found_has_none_to_track() -> None:
+    hall = simulate_hall(HallScenario(4, duration=8.0, lidars=("xt32",) * 2, people=0))
+    splitter = CloudSplitter()
+    for record in hall.recording.records([hall.rig.topics["lidar_2"]]):
+        cloud = record.decode()
+        assert isinstance(cloud, PointCloud)
+        splitter.add(cloud)
+    found = observe_clouds(splitter, Lidar3dSpec(topic="lidar"), TrackingSettings(), np.random.default_rng(0))
+    assert isinstance(found, Rejected)
+    assert found.reason.startswith("no person or vehicle could be tracked")
+    assert found.reason.endswith("let people walk in its view")

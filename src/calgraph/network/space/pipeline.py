@@ -332,8 +332,8 @@ def observe_clouds(
     vehicles = find_vehicles(split.moving, floor.T_floor_sensor, settings)
     if not tracks and not vehicles:
         return Rejected(
-            f"{len(bodies.times)} bodies were measured in its sweeps, but none could be tracked for "
-            f"{settings.motion.min_duration:g} s and {settings.motion.min_travel:g} m"
+            f"no person or vehicle could be tracked for {settings.motion.min_duration:g} s and "
+            f"{settings.motion.min_travel:g} m in its sweeps: let people walk in its view"
         )
     return SpaceObservations(
         floor.T_floor_sensor, floor.covariance, split.static, floor.points, tracks, split.coverage, split.step,
