@@ -153,10 +153,12 @@ def start_in_space(
     if len(other.states) <= len(start.states):
         return start
     people = {name: corrected.tracked[name] for name in driven}
-    added = ", ".join(name for name in other.states if name not in start.states)
+    added = tuple(name for name in other.states if name not in start.states)
+    # In one of 13 halls of four LiDARs, the root was 0.37 m off at 5 to 7 standard deviations, and walls agreed.
     remark = Finding(
-        f"vehicles connect {added} to the others: people do not; let people walk between them, which determines "
-        "poses better"
+        f"vehicles connect {', '.join(added)} to the others, along whose ways poses may be wrong: let people walk "
+        "between them",
+        added,
     )
     complete = replace(
         other.corrected,
