@@ -43,7 +43,7 @@ def test_errors_of_the_floor_move_all_sensors_as_another_floor_does(roll: float,
     T = np.stack([np.eye(4), se3.inverse(T_first) @ T_second])
     located = NetworkPoses(("first", "second"), T, np.zeros((12, 12)))
     spread = spread_floor(T_first, np.outer(error, error))
-    on_floor = located.place("floor", T_first, spread)
+    on_floor = located.express_in("floor", T_first, spread)
     assert on_floor.names == ("floor", "first", "second")
     np.testing.assert_allclose(on_floor.T_root_scanner, [np.eye(4), T_first, T_second], atol=1e-12)
     np.testing.assert_allclose(on_floor.covariance[6:, 6:], np.outer(found, found), atol=1e-15)

@@ -46,7 +46,7 @@ class NetworkPoses:
         T = self.T_root_scanner[rows[:: self.size] // self.size]
         return NetworkPoses(tuple(names), T, self.covariance[np.ix_(rows, rows)])
 
-    def place(self, name: str, T_frame_root: Array, covariance: Array) -> "NetworkPoses":
+    def express_in(self, name: str, T_frame_root: Array, covariance: Array) -> "NetworkPoses":
         """Expresses the poses in another frame, which becomes the first and the root, the present one the second.
 
         Args:

@@ -284,7 +284,7 @@ def _express_in_root(
     reference = observed[poses.names[0]]
     if rig.is_on_floor and isinstance(reference, SpaceObservations):
         T = reference.T_floor_sensor
-        return poses.place(rig.root, T, floor * spread_floor(T, reference.floor_covariance))
+        return poses.express_in(rig.root, T, floor * spread_floor(T, reference.floor_covariance))
     return poses.change_root(rig.root)
 
 

@@ -41,8 +41,8 @@ from calgraph.verdict.state_changes import describe_changes
 _MAX_TOGETHER, _BATCHES_PER_WORKER = 10, 4
 # Standard deviations of start poses, m and rad, and clocks, s: they are known to a tenth of that.
 _PLACE_STDDEV, _ROTATION_STDDEV, _CLOCK_STDDEV = 1.0, 0.2, 0.1
-# Of roll and pitch, rad (1.7°): sensors are level over floors, whose slopes differ by ramps of a few percent. With
-# 0.2 rad, wrong start poses of two LiDARs turned by 10° until their walls agreed.
+# Of roll and pitch, rad (1.7°), assumed: sensors are level over floors, whose slopes differ by ramps of a few
+# percent. With 0.2 rad, a wrong start pose of two LiDARs turned by 10° until their walls agreed, with this by 3°.
 _SLOPE_STDDEV = 0.03
 # Standard deviation of the drift of a LiDAR's clock: oscillators are those of 2-D scanners.
 _CLOCK_DRIFT = Lidar2dUncertainty().clock_drift

@@ -69,7 +69,7 @@ def spread_floor(T_floor_sensor: Array, covariance: Array) -> Array:
 def express_on_floor(calibration: Calibration, observed: SpaceObservations) -> Calibration:
     """The calibration with the floor below its root, which the root measured, as the root."""
     T = observed.T_floor_sensor
-    poses = extract_poses(calibration).place(FLOOR.name, T, spread_floor(T, observed.floor_covariance))
+    poses = extract_poses(calibration).express_in(FLOOR.name, T, spread_floor(T, observed.floor_covariance))
     floor = SensorPose(FLOOR.name, None, FLOOR.name, "floor", np.eye(4), Verdict("good"))
     sensors = [floor, *(replace(one, parent=one.parent or FLOOR.name) for one in calibration.sensors)]
     return _restate(calibration, poses, sensors, T)

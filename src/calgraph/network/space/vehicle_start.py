@@ -29,8 +29,8 @@ _GATES = (0.5, 0.4, 0.3, 0.2)
 # Standard deviations of refined poses, m and rad, and of clocks before, s.
 _STDDEV, _CLOCK_STDDEV = np.array([0.2, 0.2, 0.03]), 0.1
 # Largest standard deviation of a place by vehicles, m: half of the distance, 0.3 m, up to which points of walls
-# match. In 18 halls of two LiDARs it is up to 0.12, with places up to 0.4 m off before walls are aligned; one with
-# 0.35, by vehicles that drove straight ahead, was 1.4 m off, and walls held it there.
+# match. In 17 halls of two LiDARs it is up to 0.12, with start poses up to 0.4 m off; one with 0.35 was 1.4 m off,
+# and walls held it there.
 _MAX_STDDEV = 0.15
 # Standard deviation of distances of registered tracks, m: assumed to be that of tracks of people, as walls and the
 # joint solution correct these poses.
